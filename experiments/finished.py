@@ -14,7 +14,7 @@ from experiment import Experiment, Row
 from metrics import METRIC
 
 from sarsplat.sweeps import work as sweeps
-from sarsplat.sweeps.address import code_of
+from sarsplat.sweeps.cell import code_of
 from sarsplat.sweeps.results import Result
 
 _ABOUT = ("group", "row", "seed", "dataset", "preset", "changes", "took_s", "code")

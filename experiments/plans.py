@@ -18,14 +18,14 @@ from finished import Finished
 from sarsplat import Dataset, import_mstar, read_dataset, target_mesh, write_dataset
 from sarsplat.baselines import BaselineMethod
 from sarsplat.baselines.baseline import BaselineConfig
-from sarsplat.cli.parser import parse
+from sarsplat.cli.app import parse
 from sarsplat.data import read_masks
 from sarsplat.data.mesh import write_mesh
 from sarsplat.runs import METHODS
 from sarsplat.scenes import TARGETS
 from sarsplat.settings.config import DEFAULT_METHOD
 from sarsplat.settings.presets import PRESETS
-from sarsplat.sweeps.address import code
+from sarsplat.sweeps.cell import code
 
 _QUICK_ITERATIONS, _FEW_ITERATIONS, _FEW_VOXELS = 60, 3, 24
 

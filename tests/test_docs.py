@@ -17,8 +17,8 @@ from programs import ROOT, python
 from sample_runs import made_up
 from sarsplat import Dataset, ImageGrid, SarImage, View, preset, reconstruct, simulate_images, write_dataset
 from sarsplat.cli import main
+from sarsplat.cli.app import parse
 from sarsplat.cli.commands import COMMANDS
-from sarsplat.cli.parser import parse
 from sarsplat.evaluation import IMAGE_METRICS, MASK_METRICS, RUN_METRICS, Yardstick, metrics_of_points
 from sarsplat.gaussians import SCATTERINGS
 from sarsplat.scenes import target_mesh

@@ -15,8 +15,8 @@ import pytest
 from datasets import dataset_of
 from programs import ROOT
 from sarsplat import ImageGrid, View, import_mstar, sweep
+from sarsplat.cli.app import parse
 from sarsplat.cli.arguments import views_from
-from sarsplat.cli.parser import parse
 from sarsplat.evaluation import Yardstick, all_metrics
 from sarsplat.executors import EXECUTORS, Means
 from sarsplat.settings import preset

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -12,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from programs import ROOT
-from sarsplat.cli import main
+from sarsplat.cli import console, main
 from sarsplat.cli.commands import COMMANDS
 from sarsplat.cli.importers import IMPORTERS
 from sarsplat.scenes import TARGETS
@@ -69,6 +71,20 @@ def test_what_bash_offers(completion: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_paths_where_nothing_is_offered(completion: Path) -> None:
     assert "complete -o default -F _tyro_sarsplat sarsplat" in completion.read_text()
+
+
+def test_parameters_that_messages_name_are_options(completion: Path) -> None:
+    """Of backquoted words and switches in all texts of the library: what `as_options` makes of them exists."""
+    options = set(re.findall(r"--[a-z][\w.-]*", completion.read_text()))
+    named = set()
+    for path in (ROOT / "src" / "sarsplat").rglob("*.py"):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        docstrings = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+        texts = [node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and id(node) not in docstrings]
+        for text in (text for text in texts if isinstance(text, str) and path.parent.name != "cli"):
+            found = re.findall(r"`[a-z][a-z0-9_.]+[`=]|\b[a-z_]+=(?:True|False)\b", text)
+            named |= {(path.name, one, console.as_options(one[:-1] + "`" if one[0] == "`" else one)) for one in found}
+    assert not {one for one in named if one[2].startswith("--") and one[2] not in options}
 
 
 @pytest.mark.parametrize("shell", ["zsh", "fish"])

@@ -9,7 +9,7 @@ import signal
 import warnings
 from functools import partial
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from datasets import FEW_POINTS
 from elsewhere import elsewhere
 from sarsplat import scenes, write_gaussians_ply
 from sarsplat.cli import main
-from sarsplat.data import read_dataset, read_gaussians_ply, read_points_ply
+from sarsplat.data import read_gaussians_ply, read_points_ply
 from sarsplat.data.folders import only_writer
 from sarsplat.exports import FORMATS
 from sarsplat.learning import Trainer
@@ -42,20 +42,6 @@ def quick_own(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture(autouse=True)
 def here(there: None) -> None:
     """All of this is done in the workshop."""
-
-
-def test_simulate_writes_the_views_that_were_asked_for() -> None:
-    dataset = read_dataset("dataset")
-    train = {(view.azimuth_deg, view.grazing_deg) for view in dataset.select("train").views}
-    test = {(view.azimuth_deg, view.grazing_deg) for view in dataset.select("test").views}
-    assert train == {(azimuth, grazing) for azimuth in (0, 90, 180, 270) for grazing in (30, 60)}
-    assert test == {(azimuth, grazing) for azimuth in (45, 135, 225, 315) for grazing in (30, 60)}
-    assert (dataset.grid.rows, dataset.grid.spacing_m) == (32, (0.3, 0.3))
-    assert dataset.truth_mesh is not None
-    assert dataset.source["kind"] == "raycast"
-    assert dataset.target == "box.obj"
-    assert dataset.source["law"] == {"floor": 0.1, "lobe": 0.9, "exponent": 2.0}
-    assert dataset.protocol is None
 
 
 def test_evaluate_writes_every_score_and_refreshes_the_report() -> None:
@@ -199,11 +185,6 @@ def test_a_run_that_goes_on_is_told_as_it_is(run: Path, monkeypatch, said) -> No
     assert not {"about.json", "points.ply"} & {path.name for path in run.iterdir()}
 
 
-@pytest.mark.parametrize("command", ["evaluate dataset", "report dataset", "export dataset a.ply"])
-def test_a_dataset_in_place_of_a_run_is_to_be_reconstructed(command: str, refused) -> None:
-    assert "dataset is a dataset, not a run; give a run of it, which `sarsplat reconstruct dataset" in refused(command)
-
-
 RECONSTRUCT = "reconstruct dataset --out run"
 
 
@@ -332,19 +313,6 @@ def test_evaluating_images_alone_keeps_the_points_and_says_so(run: Path, tmp_pat
         assert main(["export", str(run), str(tmp_path / "g.splat")]) == 0
     assert "4 of 6,000 iterations; its result so far is used" in capsys.readouterr().err
     assert f"{run} is unfinished, 4 of 6,000 iterations: the scores are provisional" in complaints
-
-
-@pytest.mark.parametrize(
-    ("reason", "verdict"),
-    [("", "agrees with the CPU engine"), ("its images differ", "not used unless asked for by name: its images differ")],
-)
-def test_doctor_names_the_gpu(reason: str, verdict: str, monkeypatch, said) -> None:
-    monkeypatch.setattr("sarsplat.renderer.engines.trial.objection", lambda device: reason)
-    monkeypatch.setattr("sarsplat.renderer.engines.cuda_device.require_cuda", lambda: None)
-    monkeypatch.setattr("torch.cuda.get_device_name", lambda: "Some GPU")
-    monkeypatch.setattr("sarsplat.renderer.engines.nvrtc.Nvrtc", lambda: SimpleNamespace(version="12.8"))
-    told = " ".join(said("doctor").split())
-    assert f"Some GPU, compiled at first use by NVRTC 12.8; {verdict}" in told
 
 
 def test_doctor_knows_what_is_installed(said) -> None:

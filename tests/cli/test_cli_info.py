@@ -14,7 +14,7 @@ from rich.console import Console
 
 from datasets import dataset_of
 from sarsplat.cli import main
-from sarsplat.cli.sky import PLAIN, PRETTY, sky_chart, symbols_for
+from sarsplat.cli.info_dataset import PLAIN, PRETTY, sky_chart, symbols_for
 from sarsplat.data import Dataset, SarImage, read_dataset, write_dataset
 from sarsplat.geometry import ImageGrid, Place, Turn, View
 from sarsplat.runs import Run
@@ -238,7 +238,7 @@ def test_info_on_an_unfinished_run_says_how_to_go_on(run: Path, tmp_path: Path, 
 
 def test_a_run_that_loses_says_so_wherever_it_is_shown(run: Path, tmp_path: Path, capsys) -> None:
     metrics = json.loads((run / "metrics.json").read_text())
-    metrics["baselines"] = {"test": {"rotated_average": {"psnr_db": 99.5}}}
+    metrics["baselines"], metrics["missing"] = {"test": {"rotated_average": {"psnr_db": 99.5}}}, [[1.0, 2.0, 0.5]]
     (run / "metrics.json").write_text(json.dumps(metrics))
     sentence = "warning: on the set test the baseline rotated average, which knows no third dimension, is better than"
     for words in (f"info {run}", f"export {run} {tmp_path}/points.ply --format points", f"compare {run} run"):
@@ -247,5 +247,6 @@ def test_a_run_that_loses_says_so_wherever_it_is_shown(run: Path, tmp_path: Path
         out, err = capsys.readouterr()
         assert sentence in err, words
     assert "rotated average" in out  # a column of its own
+    assert re.search(r"1 place where images show what points lack: \(1\.0, 2\.0, 0\.5\)", " ".join(out.split()))
     assert main(["info", str(run.parent)]) == 0
     assert "; worse than rotated average on test, 99.50" in " ".join(capsys.readouterr().out.split())

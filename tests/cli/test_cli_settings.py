@@ -118,20 +118,6 @@ def test_a_printed_configuration_is_read_back(printed, refused, tmp_path: Path) 
     assert "give only one" in refused(both)
 
 
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
-        ("{", "mine.json is not valid JSON"),
-        ("3", "mine.json: expected `object`, got `int`"),
-        ('{"iteratons": 5}', "mine.json: the setting 'iteratons' is unknown; did you mean iterations?"),
-        (json.dumps({**PRESETS["default"].as_dict(), "p_min": "x"}), "mine.json: p_min is 'x'; it must be a number"),
-    ],
-)
-def test_a_file_that_is_no_configuration(text: str, told: str, tmp_path: Path, refused) -> None:
-    (tmp_path / "mine.json").write_text(text)
-    assert told in refused(f"reconstruct plain --out new --config {tmp_path / 'mine.json'}")
-
-
 def test_a_run_is_resumed_and_extended_with_its_own_settings(tmp_path: Path, refused) -> None:
     run = tmp_path / "run"
     assert main(f"reconstruct plain --out {run} --iterations 2 --gaussians 40 --seed 7 {FEW}".split()) == 0

@@ -18,7 +18,7 @@ from sarsplat.cli import main
 from sarsplat.cli.arguments import angles, views_from
 from sarsplat.cli.simulation_options import TestViews, Views
 from sarsplat.data import Dataset, read_dataset, read_masks
-from sarsplat.errors import SarsplatError, SarsplatWarning
+from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
 from sarsplat.geometry.responses import GAUSSIAN, TAYLOR
 from sarsplat.scenes import paper_views
@@ -64,21 +64,6 @@ def test_views_are_the_protocol_s_or_own_ones_tested_on_these() -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
-    [
-        ({"random_views": 12, "azimuth": ("0",)}, "--random-views draws the azimuths"),
-        ({"random_views": 0}, "0 random views cannot be drawn"),
-        ({"random_views": 3, "seed": -1}, "seed -1"),
-        ({"random_views": 3, "test_grazing": ("30",)}, "--test-azimuth is missing"),
-        ({"random_views": 3, "test_azimuth": ("30",), "test_protocol": True}, "both --test-protocol and"),
-    ],
-)
-def test_views_that_contradict_each_other_are_refused(options: dict[str, Any], told: str) -> None:
-    with pytest.raises(SarsplatError, match=told):
-        chosen(**options)
-
-
-@pytest.mark.parametrize(
     ("words", "degrees"),
     [
         (["30"], [30]),
@@ -102,18 +87,6 @@ def test_what_is_no_angle_is_named(word: str) -> None:
 def test_every_azimuth_at_every_elevation_once() -> None:
     views = views_from(["0", "90", "0:180:90"], [], ["15", "75"])
     assert [(view.azimuth_deg, view.grazing_deg) for view in views] == [(0, 75), (90, 75), (0, 15), (90, 15)]
-
-
-@pytest.mark.parametrize("word", ["1e308", "-4000", "0:1e308:1e305"])
-def test_azimuths_beyond_ten_turns_are_refused(word: str) -> None:
-    with pytest.raises(SarsplatError, match="not a number of degrees between ±3600"):
-        views_from([word], ["30"], [])
-
-
-def test_radians_are_told() -> None:
-    with pytest.warns(SarsplatWarning, match="look like radians; if they are, multiply"):
-        assert len(views_from(["0:6.28:0.26"], [], ["0.26", "0.78"])) == 50
-    assert len(views_from(["0:3:1"], ["17"], [])) == 3  # honest: told nothing
 
 
 @pytest.fixture
@@ -156,16 +129,13 @@ def test_what_the_images_cannot_show_is_warned_of(
     assert told in capsys.readouterr().err
 
 
-def test_a_response_with_side_lobes_goes_from_the_simulation_into_the_run(box: Path) -> None:
+def test_a_response_with_side_lobes(box: Path) -> None:
     words = "--scale 0.001 --test-azimuth 45 --resolution 0.45"
     plain, lobed = simulated(box, words), simulated(box, f"{words} --response taylor")
     assert (plain.grid.response, lobed.grid.response) == (GAUSSIAN, TAYLOR)
     assert lobed.power.sum() == pytest.approx(plain.power.sum(), rel=0.02)
     edge = np.s_[:, :, :4]  # beyond the target, where only side lobes reach
     assert lobed.power[edge].mean() > 1e-4 * lobed.power.mean() > 100 * plain.power[edge].mean()
-    short = replace(preset("quick"), iterations=2, gaussians=50, points=FEW_POINTS)
-    made = reconstruct(lobed, short, box.parent / "run")
-    assert Run.load(made.path).grid == lobed.grid
 
 
 def test_laws_and_the_reflectivity_of_parts_are_recorded_and_shown(box: Path) -> None:
@@ -189,19 +159,6 @@ def test_second_bounces_are_recorded_and_told(box: Path, capsys: pytest.CaptureF
     assert shares["by way of the ground"] + shares["between facets"] == pytest.approx(added, rel=1e-3)
     assert main(["info", str(twice.path)]) == 0
     assert "by way of the ground" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        ("--ground-reflectivity 0.5", "is for second bounces; ask for 2 bounces"),
-        ("--bounces 2 --ground 0.1", "mirror reflectivity is None"),
-        ("--bounces 2 --passes 2 --baseline 0.004", "--bounces 2 is for single images"),
-        ("--bounces 2 --source splat", "second bounces need a ground that reflects"),
-    ],
-)
-def test_second_bounces_that_make_no_sense_are_refused(box: Path, words: str, told: str, refused) -> None:
-    assert told in refused(f"simulate --mesh {box} --scale 0.001 {words} --out {box.parent}/refused")
 
 
 def test_a_protocol_is_named_only_if_views_and_pixels_are_its_own(tmp_path: Path, monkeypatch) -> None:
@@ -327,15 +284,12 @@ def test_terrain_goes_from_its_heights_to_a_reconstruction(tmp_path: Path, said)
 
 def test_a_village_is_as_wide_as_the_images_allow(tmp_path: Path) -> None:
     words = f"simulate --target village --azimuth 0 --grazing 45 --ray-spacing 0.1 --out {tmp_path}"
-    houses = {}
-    for name, options in (("small", "--pixels 96"), ("large", "--pixels 192"), ("other", "--pixels 96 --seed 1")):
-        assert main([*f"{words}/{name} {options}".split()]) == 0
-        made = read_dataset(tmp_path / name)
-        assert made.target == "village" and made.truth_mesh is not None
-        houses[name] = trimesh.load(made.truth_mesh)
-    assert houses["large"].extents.max() == pytest.approx(0.64 * 192 * 0.3, abs=10)
-    assert houses["small"].extents.max() < houses["large"].extents.max() / 1.5
-    assert not np.array_equal(houses["small"].extents, houses["other"].extents)
+    houses = []
+    for seed in (0, 1):
+        assert main(f"{words}/{seed} --pixels 96 --seed {seed}".split()) == 0
+        houses.append(trimesh.load(read_dataset(tmp_path / str(seed)).truth_mesh))
+    assert 0.5 < houses[0].extents.max() / (0.64 * 96 * 0.3) <= 1  # of a width that whole plots fill
+    assert not np.array_equal(houses[0].extents, houses[1].extents)
 
 
 def test_views_may_be_tilted_and_look_left(tmp_path: Path) -> None:
@@ -356,16 +310,3 @@ def test_inverse_sar_of_what_flies(tmp_path: Path) -> None:
     low, high = run.points.min(axis=0), run.points.max(axis=0)
     assert low[2] < -0.8 and high[2] > 0.8
     assert high[1] - low[1] > 9  # its wings
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        ("--isar 0 0", "--isar has 2 numbers; give three"),
-        ("--isar 0 0 1 --ground 0.1", "but --ground was given"),
-        ("--isar 1 0 0.5", "along the line of sight"),
-        ("", "the satellite is in free space; give the axis"),
-    ],
-)
-def test_inverse_sar_that_cannot_be(words: str, message: str, tmp_path: Path, refused) -> None:
-    assert message in refused(f"simulate --target satellite {words} --out {tmp_path}/set")

@@ -12,10 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from chip_files import write_chips
-from made_imports import rewrite
 from sarsplat.cli import console, main
-from sarsplat.data import read_dataset
 
 RUN = "import sys, sarsplat.cli; sys.exit(sarsplat.cli.main())"
 SIMULATE = ("simulate", "--target", "t72", "--azimuth", "0", "180", "--grazing", "45", "--pixels", "16")
@@ -127,41 +124,41 @@ def test_commands_are_shown_alike_wherever_they_are_named(tmp_path, monkeypatch,
     assert told == "warning: x/sarsplat view and what sarsplat did; see bin/sarsplat view --help\n"
 
 
+@pytest.mark.parametrize(
+    ("message", "shown"),
+    [
+        ("give ground=False or `ground=False`", "give --no-ground or --no-ground"),
+        ("pass overwrite=True", "pass --overwrite"),
+        ("with preset='scene'", "with --preset scene"),
+        ("a smaller `size_m`, as `size_m=30`", "a smaller --size, as --size 30"),
+        ("the `columns={'heading': 'NAME', 'class': 'TYPE'}`", "the --columns heading=NAME class=TYPE"),
+        ("`resolution_m=(0.5, 0.3)`", "--resolution 0.5 0.3"),
+        ("`around=(-47.1, 8.5)`", "--around=-47.1,8.5"),
+        ("give `target_class`, `calibration='absolute'` or looks=None", "give --class, --calibrated or --looks 0"),
+        ("set `points.rays_per_pixel`, or texture=None", "set --points.rays-per-pixel, or --texture off"),
+        ("seed=0/x=True exists; engine='cpu'", "seed=0/x=True exists; engine='cpu'"),
+        ("missing required field `views`; `sarsplat check x`", "missing required field `views`; `sarsplat check x`"),
+    ],
+)
+def test_parameters_are_options(message: str, shown: str) -> None:
+    assert console.as_options(message) == shown
+
+
 # ---- warnings -------------------------------------------------------------------------------------------------------
-def test_importing_counts_what_lacks_labels(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Of six chips the last has no azimuth, and one more has no label."""
-    labels = write_chips(tmp_path, [("T72", "132", 17, 70 * k if k < 5 else "") for k in range(7)])
-    rewrite(labels, lambda rows: rows[:-1])
-    command = ["import", "mstar", str(tmp_path), "--labels", str(labels), "--class", "T72"]
-    assert main([*command, "--train-views", "1", "--out", str(tmp_path / "out")]) == 0
-    told = capsys.readouterr()
-    lines = told.err.splitlines()
-    assert [line.startswith("warning: ") for line in lines] == [True, True, True]
-    assert "has no label for 1 JPEG" in lines[0]
-    assert "empty fields for 1 of 6 chips (the first: target_az_deg in line 7)" in lines[1]
-    assert "one training view (azimuth 0°)" in lines[2]
-    assert "5 views (1 train, 4 test-17)" in told.out
-    assert len(read_dataset(tmp_path / "out").views) == 5
 
 
 @pytest.mark.parametrize(
     ("grazing", "told"),
     [
-        (
-            15,
-            [
-                "so the shape is uncertain; add views at other",
-                "is uncertain: the weakest direction of its views is 77°",
-            ],
-        ),
+        (15, ["the shape is uncertain; add views", "is uncertain: the weakest direction of its views is 77°"]),
         (60, []),
     ],
 )
-def test_an_uncertain_shape_is_called_so_before_and_after(
-    box: Path, grazing: int, told: list[str], tmp_path: Path, said, capsys: pytest.CaptureFixture[str]
-) -> None:
-    said(f"simulate --mesh {box}/box.obj --azimuth 0:360:45 --grazing {grazing} --pixels 16 --out {tmp_path}/ring")
+def test_an_uncertain_shape_is_called_so_before_and_after(box: Path, grazing, told, tmp_path: Path, capsys) -> None:
+    ring = f"simulate --mesh {box}/box.obj --azimuth 0:360:45 --grazing {grazing} --pixels 16 --out {tmp_path}/ring"
     few = "--iterations 20 --gaussians 200 --points.voxel 0.3 --points.rays-per-pixel 2"
+    assert main(ring.split()) == 0
+    capsys.readouterr()
     assert main(f"reconstruct {tmp_path}/ring {few} --out {tmp_path}/run".split()) == 0
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("warning: ")]
     assert len(lines) == len(told)

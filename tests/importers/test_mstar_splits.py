@@ -13,7 +13,7 @@ from PIL import Image
 from chip_files import phoenix_bytes, write_chips
 from made_imports import rewrite
 from sarsplat.cli import main
-from sarsplat.cli.info_dataset import SplitSource, rows_of_all
+from sarsplat.cli.import_mstar import SplitSource, rows_of_all
 from sarsplat.data import read_dataset
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.importers import import_mstar

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from sarsplat import read_dataset, write_dataset
-from sarsplat.sweeps import Plan, address
+from sarsplat.sweeps import Plan, cell
 from sarsplat.sweeps.cell import cells_of
 
-GS, DSR = ((address.TRAINING, f"sarsplat.{name}") for name in ("learning.method_sar_gs", "baselines.method_dsr"))
+GS, DSR = ((cell.TRAINING, f"sarsplat.{name}") for name in ("learning.method_sar_gs", "baselines.method_dsr"))
 
 
 def rooms(modules: dict[str, Path]) -> set[str]:
@@ -20,17 +20,17 @@ def rooms(modules: dict[str, Path]) -> set[str]:
 
 
 def test_training_depends_on_what_it_imports_and_on_nothing_else():
-    ours, theirs = address.imported_by(GS), address.imported_by(DSR)
+    ours, theirs = cell.imported_by(GS), cell.imported_by(DSR)
     assert not rooms(ours) & {"cli", "report", "viewer", "evaluation", "exports", "sweeps", "radar", "importers"}
     assert {"renderer", "geometry", "gaussians", "data", "learning", "runs", "surface"} <= rooms(ours)
     assert "baselines" not in rooms(ours)
     assert not {"sarsplat.baselines.method_sar_nerf", "sarsplat.learning.method_sar_gs"} & theirs.keys()
     assert "sarsplat.baselines.method_dsr" in theirs
-    assert {"evaluation", "runs"} <= rooms(address.imported_by([address.SCORING]))
+    assert {"evaluation", "runs"} <= rooms(cell.imported_by([cell.SCORING]))
 
 
 def test_modules_that_are_found_by_their_place_are_seen():
-    found = address.imported_by(GS)
+    found = cell.imported_by(GS)
     for folder in ("learning/parts", "learning/strategies", "geometry/responses"):
         files = {path for path in found.values() if path.parent.match(folder)}
         assert files == {*next(iter(files)).parent.glob("*.py")}, folder
@@ -43,14 +43,14 @@ def code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str]
     monkeypatch.syspath_prepend(str(tmp_path))
     caches = ("code", "_file", "_nodes", "_imports", "_statements", "_lazy")
     for name in caches:  # ours is read once for all tests
-        monkeypatch.setattr(address, name, cache(getattr(address, name).__wrapped__))
+        monkeypatch.setattr(cell, name, cache(getattr(cell, name).__wrapped__))
 
     def written(name: str, text: str) -> str:
         (tmp_path / "foreign" / f"{name}.py").write_text(text)
         importlib.invalidate_caches()
         for cached in caches:
-            getattr(address, cached).cache_clear()
-        return address.code(("foreign.method",), "cpu")
+            getattr(cell, cached).cache_clear()
+        return cell.code(("foreign.method",), "cpu")
 
     written("__init__", "")
     return written
@@ -74,14 +74,14 @@ def test_code_is_what_it_does_and_not_its_words(code):
 
 def test_data_and_device_are_part_of_the_address(place):
     plan = Plan(("data/*",))
-    before = {cell.address for cell in cells_of(plan, place)}
-    assert not before & {cell.address for cell in cells_of(replace(plan, device="cuda"), place)}
+    before = {one.address for one in cells_of(plan, place)}
+    assert not before & {one.address for one in cells_of(replace(plan, device="cuda"), place)}
     same = read_dataset(place / "data" / "box")
     (place / "data" / "box").unlink()
     write_dataset(place / "data" / "moved", same)
-    assert {cell.address for cell in cells_of(plan, place)} == before
+    assert {one.address for one in cells_of(plan, place)} == before
     write_dataset(place / "data" / "moved", replace(same, power=same.power * 2), overwrite=True)
-    assert not {cell.address for cell in cells_of(plan, place)} & before
+    assert not {one.address for one in cells_of(plan, place)} & before
 
 
 def test_masks_that_a_method_learns_from_are_data(place, tmp_path):

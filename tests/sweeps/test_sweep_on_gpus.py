@@ -25,8 +25,8 @@ import torch
 
 from sarsplat import SarsplatError, sweep
 from sarsplat.errors import SarsplatWarning
-from sarsplat.executors import Means, executor_local, executor_ray, worker
-from sarsplat.executors.worker import Answers, Worker, serve
+from sarsplat.executors import Means, executor_local, executor_ray
+from sarsplat.executors.executor_local import Answers, Worker, serve
 from sarsplat.learning import Trainer
 from sarsplat.renderer.engines import choice, cuda, on_device
 from sarsplat.sweeps.cell import Cell, cells_of
@@ -217,7 +217,7 @@ def test_per_device_is_for_plans_with_a_gpu(place, plan):
         SarsplatError, match="per_device is 2, but no run of the plan is on a GPU; leave it out, or give"
     ):
         sweep(plan, place / "out", means=Means(per_device=2), quiet=True)
-    with pytest.raises(SarsplatError, match="per_device is 0; give at least 1"):
+    with pytest.raises(SarsplatError, match="per_device is 0; give a finite number from 1"):
         Means(per_device=0)
     with pytest.raises(SarsplatError, match="device is 'tpu'; it must be"):
         sweep(plan, place / "out", device="tpu", quiet=True)
@@ -284,10 +284,10 @@ def served(cells: list[Cell], monkeypatch: pytest.MonkeyPatch) -> Callable[..., 
 
         current = threading.local()
         kind = replace(RUN, do=lambda cell, out, again: do(cell, current.stream))
-        monkeypatch.setattr(worker.torch.cuda, "is_available", lambda: True)
-        monkeypatch.setattr(worker.torch.cuda, "Stream", lambda: SimpleNamespace(synchronize=synchronize))
-        monkeypatch.setattr(worker.torch.cuda, "stream", on)
-        monkeypatch.setattr(worker.os, "_exit", ended)
+        monkeypatch.setattr(executor_local.torch.cuda, "is_available", lambda: True)
+        monkeypatch.setattr(executor_local.torch.cuda, "Stream", lambda: SimpleNamespace(synchronize=synchronize))
+        monkeypatch.setattr(executor_local.torch.cuda, "stream", on)
+        monkeypatch.setattr(executor_local.os, "_exit", ended)
         for cell in cells[:left]:
             asked.put(msgspec.json.encode(on_gpu(cell)))
         for _ in range(threads):
@@ -326,7 +326,7 @@ def test_a_process_whose_gpu_has_failed_answers_and_ends(cells, served):
         raise RuntimeError("CUDA error: an illegal memory access was encountered")
 
     assert len(served(lambda cell, stream: None, 1, synchronize)) == 1
-    reason = worker._reason(cells[0], worker._BROKEN_GPU, RUN.go_on)
+    reason = executor_local._reason(cells[0], executor_local._BROKEN_GPU, RUN.go_on)
     assert reason == "the GPU failed in another run of its process; start the sweep again to continue it"
 
 

@@ -49,11 +49,11 @@ def until(condition: Callable[[], object]) -> None:
 
 
 def workers() -> list[int]:
-    """Processes of `worker.py` that belong to a sweep of this folder."""
+    """Processes of the local executor that belong to a sweep of this folder."""
     return [
         int(path.parent.name)
         for path in Path("/proc").glob("[0-9]*/cmdline")
-        if os.fsencode(Path.cwd()) in (text := _read(path)) and b"sarsplat.executors.worker" in text
+        if os.fsencode(Path.cwd()) in (text := _read(path)) and b"sarsplat.executors.executor_local" in text
     ]
 
 
@@ -84,26 +84,6 @@ def test_as_many_runs_are_done_at_a_time_as_there_are_processes(place, plan, mon
     monkeypatch.setattr(executor_local, "Worker", Here)
     found = sweep(plan, place / "out", means=Means(processes=2), quiet=True)
     assert all(one.finished for one in found.results)
-
-
-@pytest.mark.skipif(not Path("/proc").is_dir(), reason="finds processes in /proc")
-def test_a_killed_worker_is_a_row_and_done_next_time(place, plan, expected, results):
-    found: list[int] = []
-
-    def kill() -> None:
-        until(lambda: found.extend(workers()) or found)
-        os.kill(found[0], signal.SIGKILL)
-
-    killer = threading.Thread(target=kill)
-    killer.start()
-    first = sweep(plan, place / "out", means=Means(processes=1), quiet=True)
-    killer.join()
-    (failed,) = first.failed
-    assert "ended by SIGKILL" in failed.reason
-    assert sum(one.finished for one in first.results) == 1
-    second = sweep(plan, place / "out", executor="here", quiet=True)
-    assert all(one.finished for one in second.results)
-    assert results(place / "out") == expected  # bit for bit
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="finds processes in /proc")

@@ -6,7 +6,7 @@ import math
 import os
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, dataclass_transform, get_args, get_type_hints
@@ -117,35 +117,23 @@ def angles(texts: Sequence[str], name: str) -> list[float]:
             raise SarsplatError(f"--{name} {text!r} is neither degrees, such as 30, nor a range, such as 0:360:15")
         start, stop, step = numbers
         steps = (stop - start) / step - 1e-9
-        if steps <= 0:
+        if not 0 < steps <= _MAX_ANGLES:  # also catches overflow
             raise SarsplatError(
-                f"--{name} {text!r} has no angles: steps of {step:g}° do not lead from {start:g}° to {stop:g}°; give "
-                f"{start:g}:{stop:g}:{-step:g}, or change the stop"
+                f"--{name} {text!r} is {max(steps, 0):.0f} angles; give 1 to {_MAX_ANGLES} in steps from {start:g}° "
+                f"towards {stop:g}°"
             )
-        if not steps <= _MAX_ANGLES:  # also catches overflow
-            raise SarsplatError(f"--{name} {text!r} is a range of {steps:.0f} angles; give 1 to {_MAX_ANGLES}")
         values += [start + step * k for k in range(math.ceil(steps))]
     return values
 
 
-def metres(text: str, name: str) -> float:
-    """Return a length, m, from `64m` or `64`."""
-    try:
-        return float(text.strip().removesuffix("m"))
-    except ValueError:
-        raise SarsplatError(f"--{name} {text!r} is not a valid length; give metres, such as 64 or 64m") from None
-
-
 def corners(box: tuple[float, float, float, float, float, float] | None) -> Box | None:
     """Return the corners of --target-box, m; raise if it is empty."""
-    if box is not None and not all(
-        -math.inf < low < high < math.inf for low, high in zip(box[:3], box[3:], strict=True)
-    ):
+    if box is None:
+        return None
+    if not all(-math.inf < low < high < math.inf for low, high in zip(box[:3], box[3:], strict=True)):
         given = " ".join(f"{value:g}" for value in box)
-        raise SarsplatError(
-            f"--target-box {given} is no box; give the lower corner (x, y, z), then the upper one, in metres"
-        )
-    return None if box is None else (box[:3], box[3:])
+        raise SarsplatError(f"--target-box {given} is no box; give the lower corner (x, y, z), then the upper one, m")
+    return box[:3], box[3:]
 
 
 def heights(path: Path | None) -> Terrain | None:
@@ -157,22 +145,56 @@ def heights(path: Path | None) -> Terrain | None:
 
 def pair(lengths: tuple[float, ...], name: str) -> tuple[float, float] | None:
     """Return (azimuth, range) from one or two lengths; None if no length is given."""
-    if len(lengths) > 2:
-        raise SarsplatError(f"--{name} has {len(lengths)} numbers; give one, or two: azimuth and range")
+    require_count(name, lengths, (0, 1, 2), "one, or two: azimuth and range")
     return (lengths[0], lengths[-1]) if lengths else None
 
 
-def numbers(text: str, name: str, counts: tuple[int, ...], example: str) -> tuple[float, ...]:
-    """Return numbers with commas between them; raise unless their number is one of `counts`."""
+def numbers(text: str, name: str, counts: tuple[int, ...], example: str, between: str = ",") -> tuple[float, ...]:
+    """Return the numbers in a text; raise unless their number is one of `counts`."""
     try:
-        values = tuple(map(float, text.split(",")))
+        values = tuple(map(float, text.split(between)))
     except ValueError:
         values = ()
     if len(values) not in counts:
-        raise SarsplatError(
-            f"--{name} {text!r} is not {' or '.join(map(str, counts))} numbers with commas; write it as {example}"
-        )
+        wanted = "a number" if counts == (1,) else f"{' or '.join(map(str, counts))} numbers"
+        raise SarsplatError(f"--{name} {text!r} is not {wanted}; write it as {example}")
     return values
+
+
+def require_count(name: str, values: Sequence[float], counts: Container[int], wanted: str) -> None:
+    """Raise unless an option has one of these counts of numbers; `wanted` says which."""
+    if len(values) not in counts:
+        raise SarsplatError(f"--{name} has {len(values)} numbers; give {wanted}")
+
+
+def exclude(name: str, does: str, others: Mapping[str, object]) -> None:
+    """Raise if an option, which `does` something, was given with one of `others`: option → whether it was given."""
+    if (other := _first_given(others)) is not None:
+        raise SarsplatError(f"--{name} {does}, but --{other} was given; leave out one of them")
+
+
+def require(needed: str, others: Mapping[str, object]) -> None:
+    """Raise if one of `others`, option → whether it was given, lacks the option `needed`."""
+    if (other := _first_given(others)) is not None:
+        raise SarsplatError(f"--{other} needs {needed}; give that too, or leave out --{other}")
+
+
+def _first_given(options: Mapping[str, object]) -> str | None:
+    return next((name for name, given in options.items() if given), None)
+
+
+def require_ending(name: str, path: Path, *endings: str) -> None:
+    """Raise unless the name of an output ends in one of these."""
+    if path.suffix.lower() not in endings:
+        raise SarsplatError(f"--{name} {path} does not end in {' or '.join(endings)}; choose a name that does")
+
+
+def grazings(grazing: Sequence[str], incidence: Sequence[str], prefix: str = "") -> list[float]:
+    """Return grazing angles, degrees, from these or incidence angles; [] without both."""
+    exclude(f"{prefix}grazing", "is 90° less incidence", {f"{prefix}incidence": grazing and incidence})
+    if incidence:
+        return [90.0 - angle for angle in angles(incidence, f"{prefix}incidence")]
+    return angles(grazing, f"{prefix}grazing") if grazing else []
 
 
 def views_from(
@@ -191,21 +213,10 @@ def views_from(
     from sarsplat.geometry.view import seen_alike
 
     azimuths = angles(azimuth, f"{prefix}azimuth") if azimuth else []
-    if grazing and incidence:
-        raise SarsplatError(
-            f"both were given: --{prefix}grazing and --{prefix}incidence are two ways to give the same angle; "
-            "leave out one of them"
-        )
-    if not grazing and not incidence:
-        raise SarsplatError(
-            f"neither --{prefix}grazing nor --{prefix}incidence was given; add one, such as --{prefix}grazing 30"
-        )
-    if not azimuth:
-        raise SarsplatError(f"--{prefix}azimuth is missing; give degrees or a range, such as 0:360:15")
-    if incidence:
-        elevations = [90.0 - angle for angle in angles(incidence, f"{prefix}incidence")]
-    else:
-        elevations = angles(grazing, f"{prefix}grazing")
+    elevations = grazings(grazing, incidence, prefix)
+    for given, missing in ((elevations, "grazing"), (azimuths, "azimuth")):
+        if not given:
+            raise SarsplatError(f"--{prefix}{missing} is missing; give degrees or a range, such as 10:70:15")
     like = like or (View(0.0, 45.0),)
     views = list(dict.fromkeys(seen_alike(like, a, e) for e in elevations for a in azimuths))
     warn(suspicious_angles(views))

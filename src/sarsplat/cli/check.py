@@ -10,9 +10,9 @@ import tyro
 from rich.table import Table
 
 from sarsplat.cli import console
-from sarsplat.cli.arguments import OptionalFile, refuse_existing
+from sarsplat.cli.arguments import OptionalFile, refuse_existing, require_ending
 from sarsplat.cli.from_signature import CONTRADICTED
-from sarsplat.errors import SarsplatError, counted
+from sarsplat.errors import counted
 
 
 def check(
@@ -49,8 +49,7 @@ def check(
     from sarsplat.examination.plausible import left_open, suspicious_angles
 
     if out is not None:
-        if out.suffix.lower() != ".png":
-            raise SarsplatError(f"--out {out} does not end in .png; choose a name that does")
+        require_ending("out", out, ".png")
         refuse_existing(out, overwrite)
     read = read_dataset(dataset)
     with console.busy(f"looking at {counted(len(read), 'image')} of {dataset}"):

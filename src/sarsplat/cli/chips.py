@@ -10,9 +10,19 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from sarsplat.cli import console
-from sarsplat.cli.arguments import Angles, Folder, Group, OptionalCount, angles, option_group, refuse_existing
+from sarsplat.cli.arguments import (
+    Angles,
+    Folder,
+    Group,
+    OptionalCount,
+    angles,
+    exclude,
+    numbers,
+    option_group,
+    refuse_existing,
+)
 from sarsplat.cli.signals import keeping
-from sarsplat.errors import SarsplatError, counted
+from sarsplat.errors import counted
 from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side, Speckle
 from sarsplat.settings.config import SCATTERERS
 
@@ -47,12 +57,7 @@ class Draws:
         """Return both ends of --grazing, degrees; one angle is both."""
         if self.grazing is None:
             return None
-        try:
-            ends = [float(part) for part in self.grazing.split(":")]
-        except ValueError:
-            ends = []
-        if len(ends) not in (1, 2):
-            raise SarsplatError(f"--grazing {self.grazing!r} is no range of angles; give two, such as 14.5:17.5")
+        ends = numbers(self.grazing, "grazing", (1, 2), "14.5:17.5", ":")
         return ends[0], ends[-1]
 
 
@@ -108,11 +113,8 @@ def chips(
 
     encoding = asdict(pixels)
     if measured:
-        if draws != Draws():
-            raise SarsplatError(
-                "--measured writes chips as they were measured; leave out options of how chips are drawn (--count, "
-                "--azimuth, --grazing, --seed, --ground, --speckle, --scatterers, --shard)"
-            )
+        usual = asdict(Draws())
+        exclude("measured", "draws no chips", {name: value != usual[name] for name, value in asdict(draws).items()})
         _write_measured(runs, out, encoding, overwrite)
         return
     refuse_existing(out, overwrite, marker=MARKER)

@@ -37,6 +37,7 @@ def compare(
     from sarsplat import report
     from sarsplat.report.compare import PAGE
     from sarsplat.runs import Run
+    from sarsplat.runs.run_folder import left_open
 
     if out is not None:
         refuse_existing(out, overwrite, marker=PAGE)
@@ -46,6 +47,9 @@ def compare(
         console.say(comparison.caution)
     for sentence in comparison.beaten:
         console.warn(sentence)
+    for name, run in zip(comparison.names, comparison.runs, strict=True):
+        if lacking := left_open(run.metrics or {}).get("missing"):
+            console.say(f"{name}: {lacking}")
     if out is None:
         console.say(f"next: sarsplat compare {' '.join(map(str, runs))} --out FOLDER (images and points on one page)")
         return

@@ -21,6 +21,19 @@ from sarsplat.cli.commands import COMMANDS
 
 _WIDEST = 200  # columns
 
+_PARAMETER = re.compile(
+    r"(?<!field )`(?P<name>[a-z][a-z0-9_.]+)(?:=(?P<value>[^`]*))?`"  # not msgspec's: "missing required field `views`"
+    r"|(?<![\w./=-])(?P<bare>[a-z][a-z0-9_]+)=(?P<literal>True|False|None|'[^']*'|\"[^\"]*\")(?!\w)"
+)
+"""A Python parameter in a message: `name` or `name=value` in backquotes, or name=True, =False, =None or ='text'."""
+
+_RENAMED = {"alignment": "align", "azimuths_deg": "azimuth", "ground_gamma0": "ground", "target_class": "class"}
+"""Options that are not named like the library's parameters, besides units."""
+
+_SPECIAL = {"calibration='absolute'": "--calibrated", "looks=None": "--looks 0"}
+_PYTHON_ONLY = ("allow_empty", "create_graph", "engine", "initial", "name", "plane_gradients")
+_COMMA_SEPARATED = ("around", "pixel", "place")
+
 
 def say(text: str) -> None:
     """Print a line."""
@@ -98,8 +111,37 @@ def busy(text: str) -> Iterator[None]:
 
 
 def _safe(text: str) -> str:
-    """Escape markup and control characters, and replace `sarsplat` by its name in the calling shell."""
-    return escape("".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in _typed(text)))
+    """Escape markup and control characters, and word parameters as options and `sarsplat` as in the calling shell."""
+    return escape("".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in _typed(as_options(text))))
+
+
+def option_name(parameter: str) -> str:
+    """Return the option of a parameter, without its hyphens in front: `target_box_m` is target-box."""
+    plain = parameter if "." in parameter else re.sub(r"_(m|deg)$", "", parameter)  # settings are dotted
+    return _RENAMED.get(parameter, plain.replace("_", "-"))
+
+
+def as_options(text: str) -> str:
+    """Word the parameters in a message of the library (`_PARAMETER`) as options: `ground=False` is --no-ground."""
+    return _PARAMETER.sub(_as_option, text)
+
+
+def _as_option(found: re.Match[str]) -> str:
+    parameter, value = found["name"] or found["bare"], found["value"] or found["literal"]
+    if parameter in _PYTHON_ONLY:
+        return found[0]
+    if value is not None and (special := _SPECIAL.get(f"{parameter}={value}")) is not None:
+        return special
+    name = option_name(parameter)
+    match value:
+        case None | "True":
+            return f"--{name}"
+        case "False":
+            return f"--no-{name}"
+        case "None":
+            return f"--{name} off"
+    words = re.sub(r"['\"(){}\[\]]", "", value).replace(": ", "=").split(", ")
+    return f"--{name}={','.join(words)}" if name in _COMMA_SEPARATED else f"--{name} {' '.join(words)}"
 
 
 def _typed(text: str) -> str:

@@ -31,7 +31,6 @@ from sarsplat.cli.arguments import (
     TargetBox,
     corners,
     heights,
-    metres,
     numbers,
     one_of,
     refuse_existing,
@@ -77,11 +76,14 @@ def comma_separated(metavar: str, counts: tuple[int, ...], example: str) -> Opti
     return Option(kind, lambda text, name: None if text is None else numbers(text, name, counts, example), default=None)
 
 
+def _metres(text: str, name: str) -> float:
+    return numbers(text.strip().removesuffix("m"), name, (1,), "64 or 64m")[0]
+
+
 _NUMBER = Annotated[float, tyro.conf.arg(metavar="NUMBER")]
 _SHARED = {
     "out": Option(Folder),
-    "size_m": Option(Annotated[str, tyro.conf.arg(metavar="METRES")], metres),
-    "target_class": Option(name="class"),
+    "size_m": Option(Annotated[str, tyro.conf.arg(metavar="METRES")], _metres),
     "calibration": Option(
         bool,
         lambda absolute, _: "absolute" if absolute else "relative",
@@ -103,7 +105,7 @@ _SHARED = {
 """Options that several importers have."""
 _METAVARS = {"Path": "FILE", "str": "NAME", "int": "N", "float": "NUMBER"}
 _UNITS = {"_m": "METRES", "_deg": "DEGREES"}
-"""Suffixes of parameters that option names drop, with their metavars."""
+"""Metavars by suffixes of parameters."""
 
 
 def command_of(module: str, function: str, *, reading: str = "", **options: Option) -> Callable[..., int]:
@@ -152,7 +154,7 @@ def _option(one: Parameter, option: Option) -> tuple[Parameter, Option]:
     if one.default is True and not option.name:
         option = _typed_without(one.name, option.help)
     unit = next((unit for unit in _UNITS if one.name.endswith(unit)), "")
-    name = option.name or one.name.removesuffix(unit).replace("_", "-")
+    name = option.name or console.option_name(one.name)
     default = one.default if option.default is Parameter.empty else option.default
     if default is Parameter.empty and one.annotation == "bool":
         default = False

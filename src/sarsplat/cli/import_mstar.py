@@ -1,4 +1,4 @@
-"""`sarsplat import mstar`: measured chips in, a dataset out."""
+"""`sarsplat import mstar`: measured chips in, a dataset out, or those of a standard split."""
 
 from __future__ import annotations
 
@@ -6,21 +6,24 @@ import math
 import re
 import shlex
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 
 from sarsplat.cli import console
-from sarsplat.cli.arguments import Angles, angles, refuse_existing
+from sarsplat.cli.arguments import Angles, angles, exclude, refuse_existing
 from sarsplat.cli.from_signature import Option, assumed_once, command_of
 from sarsplat.cli.importers import Contents, Recognised
-from sarsplat.cli.info_run import PLAN
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, counted
 
-_USUAL_DEPRESSION = 17
+PLAN = "sweep.toml"
+"""File name of the plan of a sweep beside the datasets of a split."""
+
+_USUAL_DEPRESSIONS = ("17",)
 _REFUSED = 2
 """Exit code if a class could not be imported."""
 
@@ -44,14 +47,6 @@ def _whole(words: tuple[str, ...], name: str) -> list[int]:
     return [round(angle) for angle in whole]
 
 
-def _all_or_number(text: str, name: str) -> int | str:
-    if text.isdecimal():
-        return int(text)
-    if text != "all":
-        raise SarsplatError(f"--{name} {text!r} is no number of chips; give one, or all")
-    return text
-
-
 _one = command_of(
     __name__,
     "sarsplat.importers.mstar:import_mstar",
@@ -64,8 +59,8 @@ _one = command_of(
         "with --split, those that it trains, unless some are named. If one cannot be imported, the others are all the "
         "same, each whole or not at all, and the exit code is 2.",
     ),
-    train_views=Option(Annotated[str, tyro.conf.arg(metavar="N|all")], _all_or_number),
-    train_depression=Option(Angles, _whole, default=(str(_USUAL_DEPRESSION),)),
+    train_views=Option(Annotated[int | Literal["all"], tyro.conf.arg(metavar="N|all")]),
+    train_depression=Option(Angles, _whole, default=_USUAL_DEPRESSIONS),
     test=Option(help="Leave out all other chips: nothing to score with, but the import takes less time."),
 )
 
@@ -74,7 +69,8 @@ _one = command_of(
 def command(**given: Any) -> int:
     classes, split = given["target_class"], given["split"]
     if split is not None:
-        _refuse_with_split(given)
+        others = {"serial": given["serial"], "train-depression": given["train_depression"] != _USUAL_DEPRESSIONS}
+        exclude("split", "determines vehicles and depression angles", {**others, "no-test": given["test"]})
         return _all_of_split(given)
     if not classes:
         raise SarsplatError("--class is missing; give a class of vehicles, such as T72, or a --split, such as soc")
@@ -117,16 +113,6 @@ def _each(given: dict[str, Any], classes: Sequence[str]) -> tuple[list[int], lis
         f"sarsplat info {shlex.quote(str(given['out']))}",
     )
     return codes, made
-
-
-def _refuse_with_split(given: dict[str, Any]) -> None:
-    """Raise if options contradict a split, which determines vehicles and depression angles."""
-    no_test = given["test"]  # as typed
-    if given["serial"] is not None or given["train_depression"] != (str(_USUAL_DEPRESSION),) or no_test:
-        raise SarsplatError(
-            f"--split {given['split']} determines vehicles and depression angles; leave out --serial, "
-            "--train-depression and --no-test"
-        )
 
 
 def _all_of_split(given: dict[str, Any]) -> int:
@@ -207,3 +193,79 @@ def _by_class(chips: Sequence[tuple[str, float]]) -> dict[str, str]:
         )
         facts[f"class {name}"] = ", ".join(f"{number} at {angle}" for angle, number in angles.items())
     return facts
+
+
+_FOR = "for classifiers (`sarsplat chips --measured`), not for reconstructions"
+_NUMBERS = ("found", "published", "without_azimuth")
+
+
+@dataclass(frozen=True)
+class SplitSource:
+    """Standard split of MSTAR in a dataset's source."""
+
+    name: str
+    target: str
+    parts: list[dict[str, int | str]]
+    """As `mstar_splits.Divided.counts`."""
+    unplaced: int
+    """Number of chips without azimuth."""
+
+    @classmethod
+    def of(cls, target: str, source: Mapping[str, Any]) -> SplitSource | None:
+        """Return the split, None without or for an unknown one."""
+        from sarsplat.importers.mstar_splits import SPLITS
+
+        try:
+            name, parts = source["split"]["name"], [{**part} for part in source["split"]["parts"]]
+            if name not in SPLITS or not all(isinstance(part[key], int) for part in parts for key in _NUMBERS):
+                return None
+            if not all(part["set"] in ("train", "test") and isinstance(part["part"], str) for part in parts):
+                return None
+            return cls(name, target, parts, len(source.get("unplaced", ())))
+        except (KeyError, TypeError, ValueError):  # a header changed by hand
+            return None
+
+    def rows(self) -> dict[str, str]:
+        """Names and values for a table."""
+        from sarsplat.importers.mstar_splits import in_words
+
+        rows = {"split": "\n".join([f"{self.name}, of MSTAR", *in_words(self.parts)])}
+        if self.unplaced:
+            rows["unplaced"] = f"{counted(self.unplaced, 'chip')} without azimuth, in the folder unplaced; {_FOR}"
+        return rows
+
+    def incomplete(self) -> str:
+        """Return the numbers of chips found and published; "" if they are equal."""
+        sums: dict[str, list[int]] = {}
+        for part in self.parts:
+            numbers = sums.setdefault(str(part["set"]), [0, 0])
+            for index, key in enumerate(("found", "published")):
+                numbers[index] += int(part[key])
+        if all(found == published for found, published in sums.values()):
+            return ""
+        counts = ", ".join(f"{kind} {found:,} of {published:,}" for kind, (found, published) in sums.items())
+        return f"{self.target}: {counts}"
+
+
+def rows_of_all(sources: Sequence[SplitSource]) -> dict[str, str]:
+    """Return rows about the classes and chips of splits that several datasets, one a class, have and lack."""
+    from sarsplat.importers.mstar_chips import same_class
+    from sarsplat.importers.mstar_splits import SPLITS
+
+    rows = {}
+    for name in dict.fromkeys(one.name for one in sources):
+        own, split = [one for one in sources if one.name == name], SPLITS[name]  # type: ignore[index]
+        missing = [one for one in split.classes if not any(same_class(other.target, one) for other in own)]
+        lacking = f"; {', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing" if missing else ""
+        rows[f"split {name}"] = f"{len(split.classes) - len(missing)} of {len(split.classes)} classes{lacking}"
+        found = Counter[str]()
+        for part in (part for one in own for part in one.parts):
+            found[str(part["set"])] += int(part["found"])
+        for kind, parts in (("train", split.train), ("test", split.test)):
+            published = sum(part.count for part in parts)
+            rows[f"{kind} {name}"] = f"{found[kind]:,} of {published:,} chips"
+        if short := [counts for one in own if (counts := one.incomplete())]:
+            rows[f"not whole, {name}"] = "\n".join(short)
+    if unplaced := sum(one.unplaced for one in sources):
+        rows["unplaced"] = f"{counted(unplaced, 'chip')} without azimuth, in the datasets' folders unplaced; {_FOR}"
+    return rows

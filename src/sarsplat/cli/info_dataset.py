@@ -1,20 +1,22 @@
-"""`sarsplat info` of a dataset: its properties, its views on the sky, and its standard split of MSTAR."""
+"""`sarsplat info` of a dataset: its properties, and its views on the sky."""
 
 from __future__ import annotations
 
+import math
 import shlex
-from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from sarsplat.cli import console
-from sarsplat.cli.sky import legend, sky_chart, symbols_for
-from sarsplat.errors import SarsplatError, counted
+from sarsplat.cli.arguments import require_ending
+from sarsplat.cli.import_mstar import SplitSource
+from sarsplat.errors import counted
 
 if TYPE_CHECKING:
     import numpy as np
@@ -41,7 +43,8 @@ def describe_dataset(path: Path, plot: Path | None) -> None:
     from sarsplat.data.coverage import view_groups
     from sarsplat.examination.plausible import suspicions
 
-    kind = None if plot is None else _format(plot)
+    if plot is not None:
+        require_ending("plot", plot, ".png", ".svg")
     dataset = read_dataset(path)
     for text in suspicions(dataset):
         console.warn(text)
@@ -61,24 +64,17 @@ def describe_dataset(path: Path, plot: Path | None) -> None:
         look = shlex.join(["sarsplat", "check", str(path)])
         many = counted(len(found) if isinstance(found, list) else 1, "contradiction")
         console.warn(f"its images contradict its header ({many}, found when it was made); `{look}` lists them")
-    if plot is not None and kind is not None:
+    if plot is not None:
         from sarsplat.data import write_bytes
         from sarsplat.report.sky import sky_picture
 
         title = f"{dataset.target}: {counted(len(dataset), 'view')}"
-        write_bytes(plot, sky_picture(train, tests, title, kind, zero))
+        write_bytes(plot, sky_picture(train, tests, title, plot.suffix[1:].lower(), zero))
         console.say(f"wrote {plot}")
 
 
 _SENTENCES = {"assumptions": "assumed", "contradictions": "contradicted"}
 """Row names of the lists of sentences in a dataset's source."""
-
-
-def _format(plot: Path) -> str:
-    kind = plot.suffix.lower().removeprefix(".")
-    if kind not in ("png", "svg"):
-        raise SarsplatError(f"--plot {plot} does not end in .png or .svg; choose a name that does")
-    return kind
 
 
 def _facts(dataset: Dataset, path: Path) -> dict[str, str]:
@@ -221,77 +217,92 @@ def _angle(degrees: float) -> str:
     return f"{degrees:.4g}°"
 
 
-_FOR = "for classifiers (`sarsplat chips --measured`), not for reconstructions"
-_NUMBERS = ("found", "published", "without_azimuth")
+# ---- chart of views as points on the sky, drawn with characters ----
+_WIDEST, _NARROWEST = 48, 24  # columns
+_RINGS_DEG = (0.0, 30.0, 60.0)
+_RINGS_ALOFT_DEG = (-30.0, 0.0, 30.0)
+_DOTS_ACROSS, _DOTS_DOWN = 2, 4  # of a braille character
+_BRAILLE = 0x2800
+_BITS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 
 
 @dataclass(frozen=True)
-class SplitSource:
-    """Standard split of MSTAR in a dataset's source."""
+class Symbols:
+    """Characters of a chart; rings are of braille dots unless `ring` is given."""
 
-    name: str
-    target: str
-    parts: list[dict[str, int | str]]
-    """As `mstar_splits.Divided.counts`."""
-    unplaced: int
-    """Number of chips without azimuth."""
-
-    @classmethod
-    def of(cls, target: str, source: Mapping[str, Any]) -> SplitSource | None:
-        """Return the split, None without or for an unknown one."""
-        from sarsplat.importers.mstar_splits import SPLITS
-
-        try:
-            name, parts = source["split"]["name"], [{**part} for part in source["split"]["parts"]]
-            if name not in SPLITS or not all(isinstance(part[key], int) for part in parts for key in _NUMBERS):
-                return None
-            if not all(part["set"] in ("train", "test") and isinstance(part["part"], str) for part in parts):
-                return None
-            return cls(name, target, parts, len(source.get("unplaced", ())))
-        except (KeyError, TypeError, ValueError):  # a header changed by hand
-            return None
-
-    def rows(self) -> dict[str, str]:
-        """Names and values for a table."""
-        from sarsplat.importers.mstar_splits import in_words
-
-        rows = {"split": "\n".join([f"{self.name}, of MSTAR", *in_words(self.parts)])}
-        if self.unplaced:
-            rows["unplaced"] = f"{counted(self.unplaced, 'chip')} without azimuth, in the folder unplaced; {_FOR}"
-        return rows
-
-    def incomplete(self) -> str:
-        """Return the numbers of chips found and published; "" if they are equal."""
-        sums: dict[str, list[int]] = {}
-        for part in self.parts:
-            numbers = sums.setdefault(str(part["set"]), [0, 0])
-            for index, key in enumerate(("found", "published")):
-                numbers[index] += int(part[key])
-        if all(found == published for found, published in sums.values()):
-            return ""
-        counts = ", ".join(f"{kind} {found:,} of {published:,}" for kind, (found, published) in sums.items())
-        return f"{self.target}: {counts}"
+    train: str
+    test: str
+    ring: str | None = None
 
 
-def rows_of_all(sources: Sequence[SplitSource]) -> dict[str, str]:
-    """Return rows about the classes and chips of splits that several datasets, one a class, have and lack."""
-    from sarsplat.importers.mstar_chips import same_class
-    from sarsplat.importers.mstar_splits import SPLITS
+PLAIN = Symbols("o", "x", ".")
+"""Symbols of ASCII."""
 
-    rows = {}
-    for name in dict.fromkeys(one.name for one in sources):
-        own, split = [one for one in sources if one.name == name], SPLITS[name]  # type: ignore[index]
-        missing = [one for one in split.classes if not any(same_class(other.target, one) for other in own)]
-        lacking = f"; {', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing" if missing else ""
-        rows[f"split {name}"] = f"{len(split.classes) - len(missing)} of {len(split.classes)} classes{lacking}"
-        found = Counter[str]()
-        for part in (part for one in own for part in one.parts):
-            found[str(part["set"])] += int(part["found"])
-        for kind, parts in (("train", split.train), ("test", split.test)):
-            published = sum(part.count for part in parts)
-            rows[f"{kind} {name}"] = f"{found[kind]:,} of {published:,} chips"
-        if short := [counts for one in own if (counts := one.incomplete())]:
-            rows[f"not whole, {name}"] = "\n".join(short)
-    if unplaced := sum(one.unplaced for one in sources):
-        rows["unplaced"] = f"{counted(unplaced, 'chip')} without azimuth, in the datasets' folders unplaced; {_FOR}"
-    return rows
+PRETTY = Symbols("●", "○")
+
+
+def symbols_for(encoding: str) -> Symbols:
+    """Return the symbols that a terminal of this encoding can show."""
+    try:
+        (PRETTY.train + PRETTY.test + chr(_BRAILLE)).encode(encoding)
+    except (UnicodeEncodeError, LookupError):
+        return PLAIN
+    return PRETTY
+
+
+def sky_chart(train: Sequence[View], test: Sequence[View], width: int, symbols: Symbols, zero: str = "nose") -> Text:
+    """Draw the sky from above: the zenith in the middle, the horizon around, azimuth 0°, named `zero`, at the top.
+
+    At most `width` columns; a training view hides a test view in the same place.
+    """
+    columns = max(_NARROWEST, min(width, _WIDEST)) - 10  # labels at the sides
+    rows = columns * _DOTS_ACROSS // _DOTS_DOWN + 1
+    middle = (columns * _DOTS_ACROSS // 2, rows * _DOTS_DOWN // 2)
+    radius = min(middle) - 1
+    aloft = any(view.aloft for view in train)
+    farthest, rings = (180, _RINGS_ALOFT_DEG) if aloft else (90, _RINGS_DEG)  # the nadir around, or the horizon
+
+    def place(azimuth_deg: float, grazing_deg: float) -> tuple[int, int]:
+        """Return the dot of a direction."""
+        distance = radius * (90 - grazing_deg) / farthest
+        angle = math.radians(azimuth_deg)
+        return round(middle[0] + distance * math.sin(angle)), round(middle[1] - distance * math.cos(angle))
+
+    cells = [[" "] * columns for _ in range(rows)]
+    for ring in rings:
+        count = max(24, round(radius * (90 - ring) / farthest * 1.6))
+        for x, y in {place(360 * k / count, ring) for k in range(count)}:
+            row, column = y // _DOTS_DOWN, x // _DOTS_ACROSS
+            if symbols.ring is not None:
+                cells[row][column] = symbols.ring
+            else:
+                before = 0 if cells[row][column] == " " else ord(cells[row][column]) - _BRAILLE
+                cells[row][column] = chr(_BRAILLE + (before | _BITS[y % _DOTS_DOWN][x % _DOTS_ACROSS]))
+    styles: dict[tuple[int, int], str] = {}
+    for views, symbol, style in ((test, symbols.test, "yellow"), (train, symbols.train, "bold cyan")):
+        for view in views:
+            x, y = place(view.azimuth_deg, view.grazing_deg)
+            cells[y // _DOTS_DOWN][x // _DOTS_ACROSS] = symbol
+            styles[y // _DOTS_DOWN, x // _DOTS_ACROSS] = style
+    return _labelled(cells, styles, f"0° ({zero})")
+
+
+def _labelled(cells: Sequence[Sequence[str]], styles: dict[tuple[int, int], str], zero: str) -> Text:
+    columns, margin = len(cells[0]), 5
+    text = Text(zero.center(columns + 2 * margin).rstrip() + "\n", no_wrap=True)
+    for row, line in enumerate(cells):
+        at_the_middle = row == len(cells) // 2
+        text.append("270° ".rjust(margin) if at_the_middle else " " * margin)
+        for column, symbol in enumerate(line):
+            text.append(symbol, style=styles.get((row, column), "dim"))
+        text.append(" 90°\n" if at_the_middle else "\n")
+    text.append("180°".center(columns + 2 * margin).rstrip())
+    return text
+
+
+def legend(tests: Iterable[str], symbols: Symbols, aloft: bool = False) -> str:
+    """Return a legend of symbols and rings with the names of the test sets."""
+    named = ", ".join(tests)
+    points = f"{symbols.train} train" + (f"  {symbols.test} {named}" if named else "")
+    around = "; around: from below; rings: grazing 30°, 0° and −30°" if aloft else "; rings: grazing 60°, 30° and 0°"
+    return f"{points}; middle: straight from above{around}"

@@ -16,7 +16,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from sarsplat.cli import console
-from sarsplat.cli.info_dataset import SplitSource, rows_of_all
+from sarsplat.cli.import_mstar import PLAN, SplitSource, rows_of_all
 from sarsplat.errors import SarsplatError, counted
 
 if TYPE_CHECKING:
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
 _DEEPEST = 3  # levels of folders below the one asked for
 _DATASET, _RUN = "dataset.json", "config.json"
-PLAN = "sweep.toml"
-"""File name of the plan of a sweep that an import writes beside its datasets."""
 
 
 def describe_run(path: Path) -> None:

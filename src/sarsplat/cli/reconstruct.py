@@ -28,6 +28,7 @@ from sarsplat.cli.arguments import (
     OptionalFolder,
     TargetBox,
     Workers,
+    exclude,
     one_of,
     option_group,
     refuse_existing,
@@ -148,8 +149,7 @@ def reconstruct(
 ) -> None:
     """Reconstruct Gaussians and points from the training images of a dataset."""
     dataset, out = options.dataset, options.out
-    if options.resume and options.overwrite:
-        raise SarsplatError("--resume continues the run and --overwrite discards it; give only one of them")
+    exclude("resume", "continues the run", {"overwrite": options.resume and options.overwrite})
     if not options.print_config:
         _announce(dataset)
     from sarsplat.data import read_dataset
@@ -228,10 +228,7 @@ def _base(method: Method, options: Options, images: Dataset) -> Any:
 
     file, out = options.config, options.out
     if file is not None:
-        if options.preset != "auto":
-            raise SarsplatError(
-                f"--config and --preset {options.preset} both choose the starting settings; give only one of them"
-            )
+        exclude("config", "holds all settings", {"preset": options.preset != "auto"})
         content = read_json(file, dict[str, Any])
         if (whose := content.get("method", DEFAULT_METHOD)) != method.name:
             raise SarsplatError(f"{file} holds settings of {shown(whose)}, not of {method.name}; give that as --method")
@@ -241,11 +238,10 @@ def _base(method: Method, options: Options, images: Dataset) -> Any:
     if not options.resume:
         return method.preset(options.preset, images)
     run = Run.load(out)
-    if run.method != method.name:
-        raise SarsplatError(f"{out} was started with the method {run.method}, not {method.name}; omit --method")
-    begun = getattr(run.config, "preset", "auto")
-    if options.preset not in ("auto", begun):
-        raise SarsplatError(f"{out} was started with preset {begun!r}, not {options.preset!r}; omit --preset")
+    preset = getattr(run.config, "preset", "auto")
+    for name, begun, asked in (("method", run.method, method.name), ("preset", preset, options.preset)):
+        if asked not in (begun, "auto"):
+            raise SarsplatError(f"{out} was started with {name} {begun!r}, not {asked!r}; omit --{name}")
     return run.config
 
 
@@ -261,8 +257,7 @@ def _overridden(method: Method, base: AnyConfig, options: Options, words: Sequen
             continue
         if not hasattr(base, name):
             raise SarsplatError(
-                f"--{flag} is not a setting of {method.name}; see its settings with --print-config, and give changed "
-                "ones with --config FILE"
+                f"--{flag} is not a setting of {method.name}; change those that --print-config shows, for --config"
             )
         given = getattr(options.settings, name)
         if inside:
@@ -271,9 +266,7 @@ def _overridden(method: Method, base: AnyConfig, options: Options, words: Sequen
             changed[name] = given
     for name, values in of_records.items():
         if name in _PARTS and getattr(options.switches, name) == "off":
-            raise SarsplatError(
-                f"--{name}.{next(iter(values)).replace('_', '-')} has no effect with --{name} off; omit one of them"
-            )
+            exclude(f"{name} off", "leaves it out", {console.option_name(f"{name}.{one}"): True for one in values})
         changed[name] = replace(getattr(base, name) or _PARTS[name](), **values)
     for part, record in _PARTS.items():
         switch = getattr(options.switches, part)

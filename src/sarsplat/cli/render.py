@@ -16,6 +16,7 @@ from sarsplat.cli.arguments import (
     OptionalName,
     RunOrFile,
     angles,
+    grazings,
     one_of,
     option_group,
     refuse_existing,
@@ -64,12 +65,9 @@ class Directions:
         from sarsplat.report.rendered import sweep_views
 
         assert self.sweep is not None
-        if self.grazing and self.incidence:
-            raise SarsplatError("both --grazing and --incidence were given, two ways to give one angle; leave out one")
-        grazings = [90 - angle for angle in angles(self.incidence, "incidence")] if self.incidence else []
         given = {
             "azimuth": angles(self.azimuth, "azimuth") if self.azimuth else [],
-            "grazing": grazings or (angles(self.grazing, "grazing") if self.grazing else []),
+            "grazing": grazings(self.grazing, self.incidence),
         }
         ends, other = given[self.sweep], "grazing" if self.sweep == "azimuth" else "azimuth"
         if len(ends) not in (0, 2) or len(given[other]) > 1:

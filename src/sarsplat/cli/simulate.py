@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from sarsplat.cli import console
-from sarsplat.cli.arguments import corners, refuse_existing
+from sarsplat.cli.arguments import corners, exclude, refuse_existing, require
 from sarsplat.cli.simulation_options import Options, Sensor, Split
 from sarsplat.errors import SarsplatError, counted
 
@@ -55,12 +55,11 @@ def simulate(options: Annotated[Options, tyro.conf.arg(name="")]) -> None:
     from sarsplat.scenes.targets import ALOFT
 
     out, target, ground, masks = options.out, options.target, options.ground, options.echoes.masks
-    if options.sensor.clean_tests and options.sensor.looks is None:
-        raise SarsplatError("--clean-tests leaves speckle out of test images, but there is no speckle; add --looks")
+    clean_tests = options.sensor.clean_tests
+    require("--looks", {"clean-tests": clean_tests and options.sensor.looks is None})
     relief = ground.relief(options.echoes.bounces)
-    if masks and relief is not None:
-        raise SarsplatError("--masks are of a target on flat ground; leave out --masks or --terrain")
     if masks:
+        exclude("masks", "shows a target on flat ground", {"terrain": relief is not None})
         pillow()  # raises before minutes of ray casting
     splits = options.views.splits(options.test_views, options.seed)
     if options.isar.isar:
@@ -68,6 +67,8 @@ def simulate(options: Annotated[Options, tyro.conf.arg(name="")]) -> None:
         splits = options.isar.splits()
     elif (name := target.target) in ALOFT:
         raise SarsplatError(f"the {name} is in free space; give the axis about which it turns, such as --isar 0 0 1")
+    no_tests = all(split == "train" for _, split in splits)
+    require("test views, such as by --test-azimuth", {"clean-tests": clean_tests and no_tests})
     grid = options.sensor.grid(options.views.protocol, target.target == "village")
     box_m, stack = corners(target.target_box), options.stacks.stack()
     if stack is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -18,10 +17,13 @@ from sarsplat.cli.arguments import (
     OptionalFile,
     OptionalNumber,
     TargetBox,
+    exclude,
     heights,
     one_of,
     option_group,
     pair,
+    require,
+    require_count,
     views_from,
 )
 from sarsplat.errors import SarsplatError
@@ -105,19 +107,14 @@ class Views:
             train = self._random(self.random_views, seed)
         elif any(self.raster):
             train = views_from(*self.raster)
-        elif any(tests.raster):
-            raise SarsplatError(
-                "test views were given, but the protocol sets both training and test views; give --azimuth as well"
-            )
         else:
+            require("--azimuth", tests.angles)
             return self._posed(theirs)
         trained = {_direction(view) for view in train}
         test = tests.splits(theirs, self.raster)
         unseen = [(view, split) for view, split in test if _direction(view) not in trained]
         if test and not unseen:
-            raise SarsplatError(
-                f"all {len(test)} test views are also training views; choose others with --test-azimuth"
-            )
+            raise SarsplatError(f"all {len(test)} test views are training views; choose others with --test-azimuth")
         return self._posed([*((view, "train") for view in train), *unseen])
 
     def _posed(self, views: list[Split]) -> list[Split]:
@@ -127,8 +124,7 @@ class Views:
     def _random(self, count: int, seed: int) -> list[View]:
         from sarsplat.scenes.protocols import random_views
 
-        if self.azimuth:
-            raise SarsplatError("--random-views draws the azimuths, but --azimuth was given; leave out one of them")
+        exclude("random-views", "draws the azimuths", {"azimuth": self.azimuth})
         if self.grazing or self.incidence:
             limits = views_from(("0",), self.grazing, self.incidence)
         else:
@@ -151,19 +147,22 @@ class TestViews:
     """Incidence angles of the test views, instead of grazing angles."""
 
     @property
-    def raster(self) -> Raster:
-        """Typed test angles."""
-        return self.test_azimuth, self.test_grazing, self.test_incidence
+    def angles(self) -> dict[str, Angles]:
+        """Typed test angles by option."""
+        return {
+            "test-azimuth": self.test_azimuth,
+            "test-grazing": self.test_grazing,
+            "test-incidence": self.test_incidence,
+        }
 
     def splits(self, protocol: list[Split], train: Raster) -> list[Split]:
         """Return test views; angles that were not given are those of the training views."""
         if self.test_protocol:
-            if any(self.raster):
-                raise SarsplatError("both --test-protocol and test angles were given; give only one of them")
+            exclude("test-protocol", "sets the test views", self.angles)
             return [(view, split) for view, split in protocol if split != "train"]
-        if not any(self.raster):
+        azimuth, grazing, incidence = self.angles.values()
+        if not (azimuth or grazing or incidence):
             return []
-        azimuth, grazing, incidence = self.raster
         if not grazing and not incidence:
             _, grazing, incidence = train
         return [(view, "test") for view in views_from(azimuth or train[0], grazing, incidence, prefix="test-")]
@@ -192,10 +191,8 @@ class Isar:
         from sarsplat.geometry import View
 
         axes, sight = self.isar, self.line_of_sight
-        if not axes or len(axes) % 3:
-            raise SarsplatError(f"--isar has {len(axes)} numbers; give three for each axis of rotation, such as 0 0 1")
-        if len(sight) != 3:
-            raise SarsplatError(f"--line-of-sight has {len(sight)} numbers; give three, such as 1 0 0.5")
+        require_count("isar", axes, range(3, len(axes) + 1, 3), "three for each axis of rotation, such as 0 0 1")
+        require_count("line-of-sight", sight, (3,), "three, such as 1 0 0.5")
         if not 1 <= self.frames <= _MOST_FRAMES:
             raise SarsplatError(f"--frames {self.frames} must be 1 to {_MOST_FRAMES}")
         vectors = np.array(axes, float).reshape(-1, 3)
@@ -232,8 +229,7 @@ class Sensor:
 
         grid = paper_grid() if protocol == "paper" else mstar_grid()
         pixels = self.pixels or (_VILLAGE_PIXELS,) * village
-        if len(pixels) > 2:
-            raise SarsplatError(f"--pixels has {len(pixels)} numbers; give one, or two: rows and columns")
+        require_count("pixels", pixels, (0, 1, 2), "one, or two: rows and columns")
         if pixels:
             grid = replace(grid, rows=pixels[0], columns=pixels[-1])
         if (spacing_m := pair(self.spacing, "spacing")) is not None:
@@ -299,8 +295,7 @@ class Stacks:
 
         if self.passes is None and not self.polarimetric:
             given = {"baseline": self.baseline or None, "wavelength": self.wavelength, "noise": self.noise}
-            if name := first_given({name: value is not None for name, value in given.items()}):
-                raise SarsplatError(f"{name} is for stacks; give --passes or --polarimetric too, or leave it out")
+            require("--passes or --polarimetric", {name: value is not None for name, value in given.items()})
             return None
         names = POLARISATIONS if self.polarimetric else ("",)
         offsets = [offset for offset in self._offsets() for _ in names]
@@ -315,22 +310,13 @@ class Stacks:
         """Return b/R of each pass; a single baseline is divided evenly around the view."""
         passes, baseline = self.passes, self.baseline
         if passes is None:
-            if baseline:
-                raise SarsplatError("--baseline is between passes; give --passes too, or leave it out")
+            require("--passes", {"baseline": baseline})
             return [0.0]
         if passes < 2:
             raise SarsplatError(f"--passes is {passes}; give at least 2, or leave it out")
-        if len(baseline) not in (1, passes):
-            raise SarsplatError(
-                f"--baseline has {len(baseline)} numbers for {passes} passes; give one, from the first to the last, "
-                "or one for each (b/R, rad)"
-            )
+        require_count("baseline", baseline, (1, passes), "one, from the first to the last pass, or one of each, rad")
         if len(baseline) == passes:
             return [*baseline]
-        if baseline[0] == 0:
-            raise SarsplatError(
-                "--baseline is 0, so that all passes would be the same; give b/R in radians, such as 0.004"
-            )
         return [baseline[0] * (k / (passes - 1) - 0.5) for k in range(passes)]
 
 
@@ -355,13 +341,12 @@ class Options:
 
     def reject_with_isar(self) -> None:
         """Raise for options that inverse SAR does not support."""
-        given = {"azimuth": any(self.views.raster), "test-azimuth": any(self.test_views.raster)}
+        given = {"azimuth": any(self.views.raster), **self.test_views.angles}
         given |= {"test-protocol": self.test_views.test_protocol, "random-views": self.views.random_views is not None}
         given |= {"tilt": self.views.tilt != 0, "side": self.views.side != "right"}
         given |= {"ground": self.ground.ground is not None, "masks": self.echoes.masks}
         given |= {"passes": self.stacks.passes is not None, "polarimetric": self.stacks.polarimetric}
-        if name := first_given(given):
-            raise SarsplatError(f"--isar sets all views and has no ground, but {name} was given; leave out one")
+        exclude("isar", "sets all views and has no ground", given)
 
     def reject_with_stacks(self) -> None:
         """Raise for options that stacks do not support."""
@@ -369,10 +354,4 @@ class Options:
         given = {"looks": sensor.looks, "clean-tests": sensor.clean_tests, "terrain": self.ground.terrain}
         given |= {"reflectivity": self.target.reflectivity, "ray-spacing": echoes.ray_spacing, "masks": echoes.masks}
         given |= {"bounces 2": echoes.bounces == 2, f"source {echoes.source}": echoes.source != "raycast"}
-        if name := first_given(given):
-            raise SarsplatError(f"{name} is for single images; leave it out, or --passes and --polarimetric")
-
-
-def first_given(options: Mapping[str, object]) -> str:
-    """Return the first of the options whose value is true, with its hyphens; "" if none is."""
-    return next((f"--{name}" for name, value in options.items() if value), "")
+        exclude("polarimetric" if self.stacks.passes is None else "passes", "makes stacks, not single images", given)

@@ -12,8 +12,7 @@ from sarsplat.data import Dataset
 from sarsplat.data.image import power_of
 from sarsplat.data.orientation import SIDES, Layout, oriented
 from sarsplat.errors import counted
-from sarsplat.examination.on_map import OnMap, on_map
-from sarsplat.examination.orientation import Orientation, orientation, turned_grid
+from sarsplat.examination.orientation import Orientation, on_map, orientation, turned_grid
 from sarsplat.examination.outcome import Examination
 from sarsplat.examination.plausible import suspicious_angles, suspicious_images
 from sarsplat.examination.scaling import MUCH_CLIPPED, examine_cut_off, examine_scaling
@@ -41,14 +40,14 @@ _WAS_MAP = "cannot be determined from neighbours: resampled from a map, they mat
 
 _AZIMUTH_REMEDY: dict[Side, str] = {
     "top": "check the table's azimuths",
-    "right": "name the column of azimuths a heading (--columns heading=NAME --look left), or add 90° to them",
+    "right": "name the column of azimuths a heading (`columns={'heading': 'NAME'}` look='left'), or add 90° to them",
     "bottom": "add 180° to the table's azimuths, which must be bearings of the radar, not of its look",
-    "left": "name the column of azimuths a heading (--columns heading=NAME --look right), or take 90° from them",
+    "left": "name the column of azimuths a heading (`columns={'heading': 'NAME'}` look='right'), or take 90° from them",
 }
 """Near side → remedy for the azimuths of geocoded pictures."""
 
 TWINS = (
-    "Images with --mirrored and azimuths in the other sense would match as well, as those of a mirrored target: "
+    "Images with `mirrored` and azimuths in the other sense would match as well, as those of a mirrored target: "
     "which way the table counts azimuths decides."
 )
 """Note on the table of orientations: a mirror cannot be distinguished from opposite azimuths."""
@@ -119,7 +118,7 @@ def _upright(dataset: Dataset, examined: Examination) -> Dataset:
         if estimate.by_shadow:
             examined.contradictions.append(
                 f"the dataset declares no ground, but images show shadow, {estimate.shadow.lead:.1f} dB darker than "
-                "on the other sides of the target; import them without --no-ground (ground=True)"
+                "on the other sides of the target; import them without ground=False"
             )
         else:  # the floor may be noise
             ground = False
@@ -128,7 +127,11 @@ def _upright(dataset: Dataset, examined: Examination) -> Dataset:
     if not estimate.by_shadow:
         mapped = on_map(dataset.power, dataset.views, dataset.grid, estimate, ground=ground)
         if mapped.certain:
-            examined.conclude("geometry", [_on_map(mapped)], "")
+            examined.contradictions.append(
+                f"the images seem to be geocoded, for {mapped}; import them with geocoded='level', or "
+                "geocoded='terrain' with `terrain`, by what their producer took for the ground"
+            )
+            examined.checks["geometry"] = "see below"
             return dataset  # neither side is near range
     near = estimate.near or "top"
     examined.checks["near range"] = _near_range(estimate)
@@ -158,13 +161,6 @@ def _shaded_below(view: View, grid: ImageGrid) -> bool:
 def _edges(power: np.ndarray) -> np.ndarray:
     """Return the outermost pixels of all images."""
     return np.concatenate([power[:, [0, -1]].ravel(), power[:, :, [0, -1]].ravel()])
-
-
-def _on_map(mapped: OnMap) -> str:
-    return (
-        f"the images seem to be geocoded, for {mapped}; import them with --geocoded level, or --geocoded terrain with "
-        "--terrain FILE, by what their producer took for the ground"
-    )
 
 
 def _orientation(dataset: Dataset, estimate: Orientation, near: Side, layout: Layout | None, geocoded: bool) -> str:
@@ -209,9 +205,9 @@ def _incidence(dataset: Dataset, estimate: Orientation) -> str:
     remedy = "give 90° less them"
     if isinstance(columns, dict) and columns.keys() & {"grazing", "incidence"}:
         wrong, right = ("grazing", "incidence") if "grazing" in columns else ("incidence", "grazing")
-        remedy = f"import with --columns {right}={columns[wrong]}"
+        remedy = f"import with `columns={{'{right}': '{columns[wrong]}'}}`"
     elif np.ptp(grazings) == 0:
-        remedy += f" (--grazing {90 - grazings[0]:g})"
+        remedy += f" (`grazing_deg={90 - grazings[0]:g}`)"
     return (
         f"images match better if grazing angles ({min(grazings):.4g}° to {max(grazings):.4g}°) are incidence angles "
         f"(correlation higher by {-estimate.grazing.mean:.2f}); {remedy}"

@@ -1,7 +1,11 @@
-"""Orientation of images, estimated from the images: near side and sense of the azimuths.
+"""Orientation of images, estimated from the images: near side and sense of the azimuths, or whether they lie on a map.
 
 There are eight orientations: four near sides, mirrored or not. Mirrored images with azimuths in the opposite sense show
 a mirrored target, which no image can reveal: a wrong sense of the azimuths and a mirror are one finding.
+
+On a map (geocoded, north up) the scene keeps its place as the azimuth changes, while shadow and the bright edge facing
+the radar turn; in azimuth and range it is the reverse. The place of the scene alone proves nothing: a rotationally
+symmetric target keeps it in azimuth and range, too.
 """
 
 from __future__ import annotations
@@ -13,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64, Real
 from scipy.fft import irfft2, next_fast_len, rfft2
+from scipy.ndimage import map_coordinates
 
 from sarsplat.data.image import in_blocks
 from sarsplat.data.orientation import SIDES, oriented
@@ -29,10 +34,10 @@ from sarsplat.geometry import ImageGrid, View
 from sarsplat.names import Side
 from sarsplat.regions.outlines import Outline, levels_db, outline
 
-MIN_SHADOW_DB = 0.2
-MIN_EDGE = 0.05
+_MIN_SHADOW_DB = 0.2
+_MIN_EDGE = 0.05
 _MIN_LAYOVER = 0.005
-MIN_SENSE = 0.01
+_MIN_SENSE = 0.01
 _MIN_GRAZING = 0.01
 """Minimum mean differences of decibels, skewness and correlation that count as evidence, for any number of images."""
 
@@ -73,14 +78,14 @@ class Orientation:
     @property
     def by_shadow(self) -> bool:
         """True if shadow alone determines the near side."""
-        return self.shadow.side(MIN_SHADOW_DB) is not None
+        return self.shadow.side(_MIN_SHADOW_DB) is not None
 
     @property
     def opposite(self) -> bool | None:
         """True if azimuths have the opposite sense or images are mirrored; None if undetermined."""
-        if self.sense.supports(MIN_SENSE):
+        if self.sense.supports(_MIN_SENSE):
             return False
-        return True if self.sense.against(MIN_SENSE) else None
+        return True if self.sense.against(_MIN_SENSE) else None
 
     @property
     def incidence(self) -> bool:
@@ -143,12 +148,12 @@ def _near(shadow: SideEvidence, edge: SideEvidence, layover: SideEvidence, centr
 
     Layover alone is ambiguous with targets away from the middle of their images.
     """
-    certain = shadow.side(MIN_SHADOW_DB) or (layover.side(_MIN_LAYOVER) if centred else None)
+    certain = shadow.side(_MIN_SHADOW_DB) or (layover.side(_MIN_LAYOVER) if centred else None)
     if certain is not None:
         return certain
     significance = math.sqrt(CHANCE)  # of each of the two
     by_layover = layover.side(_MIN_LAYOVER, significance)
-    agree = by_layover == edge.side(MIN_EDGE, significance) and (not shadow.count or shadow.strongest == by_layover)
+    agree = by_layover == edge.side(_MIN_EDGE, significance) and (not shadow.count or shadow.strongest == by_layover)
     return by_layover if agree else None
 
 
@@ -200,3 +205,87 @@ def _skewness(profiles: Float64[np.ndarray, "v n"]) -> Float64[np.ndarray, " v"]
     offset = position - (share @ position)[:, None]
     spread = np.maximum((share * offset**2).sum(axis=1), 1e-9)
     return (share * offset**3).sum(axis=1) / spread**1.5
+
+
+@dataclass(frozen=True)
+class OnMap:
+    """Evidence that images are geocoded; `turned_…` is evidence after rotating each image by its azimuth."""
+
+    stays: Evidence
+    """Correlation of neighbouring images without rotation, less that with the better sense of rotation."""
+    shadow: SideEvidence
+    turned_shadow: SideEvidence
+    edge: SideEvidence
+    turned_edge: SideEvidence
+
+    @property
+    def certain(self) -> bool:
+        """True if only turned images have a shadow side; or the scene keeps its place, and turning makes the shadow, or
+        without ground the bright edge, clearer.
+        """
+        if self.shadow.side(_MIN_SHADOW_DB) is not None:
+            return False
+        if self.turned_shadow.side(_MIN_SHADOW_DB) is not None and self.shadow_gain > _MIN_SHADOW_DB:
+            return True
+        return self.stays.supports(_MIN_SENSE) and (
+            self.shadow_gain > _MIN_SHADOW_DB
+            if self.shadow.count
+            else self.turned_edge.side(_MIN_EDGE) is not None and self.edge.side(_MIN_EDGE) is None
+        )
+
+    @property
+    def shadow_gain(self) -> float:
+        """Increase by turning of the darkness behind bright pixels, dB; 0 if there are too few images."""
+        return float(self.turned_shadow.mean.max() - self.shadow.mean.max())
+
+    def __str__(self) -> str:
+        """Signs of a map, for messages."""
+        signs = []
+        if self.stays.supports(_MIN_SENSE):
+            signs.append(
+                f"images of neighbouring azimuths match better as they are than turned (correlation higher by "
+                f"{self.stays.mean:.2f})"
+            )
+        if self.shadow.count and self.shadow_gain > _MIN_SHADOW_DB:
+            signs.append(
+                f"shadows turn with the azimuths ({self.shadow_gain:.1f} dB darker on one side after turning back)"
+            )
+        elif self.turned_edge.side(_MIN_EDGE) is not None:
+            signs.append("the target's bright edge turns with the azimuths")
+        return ", and ".join(signs)
+
+
+def on_map(
+    power: Real[np.ndarray, "v rows columns"],
+    views: Sequence[View],
+    grid: ImageGrid,
+    estimate: Orientation,
+    *,
+    ground: bool,
+) -> OnMap:
+    """Collect evidence that images (β⁰, linear power) are geocoded, given their orientation."""
+    levels = levels_db(power, grid, ground)
+    senses = []
+    for sense in (1, -1):
+        turned = _rotated(levels, [replace(view, azimuth_deg=sense * view.azimuth_deg) for view in views])
+        edge = edge_sides(turned, [outline(level) for level in turned])
+        senses.append((shadow_sides(turned if ground else turned[:0], views), edge))
+    shadow, edge = max(senses, key=lambda sides: max(sides[not ground].mean))
+    return OnMap(estimate.stays, estimate.shadow, shadow, estimate.edge, edge)
+
+
+def _rotated(levels: Float64[np.ndarray, "v rows columns"], views: Sequence[View]) -> Float64[np.ndarray, "v m m"]:
+    """Rotate map images whose columns run along x to have the radar on top, cropped to the square that all show.
+
+    If columns run otherwise, the radar is at another side, the same in all images.
+    """
+    half = (min(levels.shape[1:]) - 1) / 2
+    offsets = np.arange(2 * math.floor(half * math.sqrt(0.5)) + 1) - math.floor(half * math.sqrt(0.5))
+    right, down = np.meshgrid(offsets, offsets)
+    rotated = []
+    for level, view in zip(levels, views, strict=True):
+        across, ahead = view.look.frame[0, :2] / np.hypot(*view.look.frame[0, :2]), view.look.ahead
+        x, y = across[:, None, None] * right + ahead[:, None, None] * down
+        rows, columns = level.shape
+        rotated.append(map_coordinates(level, [(rows - 1) / 2 - y, (columns - 1) / 2 + x], order=1))
+    return np.array(rotated)

@@ -372,17 +372,23 @@ def repeated_images(dataset: Dataset) -> list[str]:
         (i, j) for i, j in pairs if (i, j) not in misplaced and dataset.entries[i].split == dataset.entries[j].split
     ]
     misplaced = [pair for pair in misplaced if not _symmetric(dataset, *pair)]
-    return [*_describe_misplaced(dataset, misplaced), *_describe_duplicates(dataset, duplicates)]
-
-
-def _describe_duplicates(dataset: Dataset, pairs: Sequence[tuple[int, int]]) -> list[str]:
-    if not pairs:
-        return []
-    one, other = (dataset.entries[k].name for k in pairs[0])
-    return [
-        f"{one} and {other} are one and the same picture from one direction{_more(pairs)}, which counts twice; remove "
-        "one"
-    ]
+    texts = []
+    if misplaced:
+        one, other = (
+            f"{entry.name} (azimuth {entry.view.azimuth_deg:g}°, grazing {entry.view.grazing_deg:g}°)"
+            for entry in (dataset.entries[k] for k in misplaced[0])
+        )
+        texts.append(
+            f"{one} and {other} are one and the same picture{_more(misplaced)}, so the file or the angles of one are "
+            "wrong: correct them, or remove one"
+        )
+    if duplicates:
+        one, other = (dataset.entries[k].name for k in duplicates[0])
+        texts.append(
+            f"{one} and {other} are one and the same picture from one direction{_more(duplicates)}, which counts "
+            "twice; remove one"
+        )
+    return texts
 
 
 def _angle_deg(one: View, other: View) -> float:
@@ -413,17 +419,6 @@ def _symmetric(dataset: Dataset, i: int, j: int) -> bool:
         np.median([np.abs(one - two).max() / max(one.max(), two.max(), _LEAST) for one, two in pairs])
         < _SYMMETRY_TOLERANCE
     )
-
-
-def _describe_misplaced(dataset: Dataset, pairs: Sequence[tuple[int, int]]) -> list[str]:
-    if not pairs:
-        return []
-    entries = [dataset.entries[k] for k in pairs[0]]
-    one, other = (f"{e.name} (azimuth {e.view.azimuth_deg:g}°, grazing {e.view.grazing_deg:g}°)" for e in entries)
-    return [
-        f"{one} and {other} are one and the same picture{_more(pairs)}, so the file or the angles of one are wrong: "
-        "correct them, or remove one"
-    ]
 
 
 def _more(pairs: Sequence[tuple[int, int]]) -> str:

@@ -46,11 +46,11 @@ _QUANTILES = (0.5, 0.75, 0.9)
 """Quantiles of an image that another scale moves alike; shadow or a large target moves only some."""
 
 _OWN_SCALES = ("mstar", "sample")
-"""Kinds of datasets with a known scale per image, which `--preset measured` learns."""
+"""Kinds of datasets with a known scale per image, which the preset "measured" learns."""
 
 _ONE_SCALE = (
-    "give them on one scale, or the factor of each in a column of the table (--columns scale=NAME); if neither is "
-    "known, reconstruct with --preset measured, which learns a gain for each"
+    "give them on one scale, or the factor of each in a column of the table (`columns={'scale': 'NAME'}`); if neither "
+    "is known, reconstruct with preset='measured', which learns a gain for each"
 )
 
 

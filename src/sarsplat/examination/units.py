@@ -42,14 +42,14 @@ smoother than a point but not sharper."""
 _MIN_RESOLUTION = 0.5
 """Minimum resolution, pixels."""
 
-_DECIBELS = "--quantity db, with --scale and --offset for decibels in 8 bits"
+_DECIBELS = "quantity='db', with `scale` and `offset` for decibels in 8 bits"
 
 _ALL_OPTIONS = ("quantity", "looks")
 _OPTIONS = {"sicd": ("looks",), "rslc": ("looks",), "mstar": (), "sample": (), "phase-history": (), "stack": ("looks",)}
 """Options of the import by the kind of the dataset's `source`; `_ALL_OPTIONS` for other kinds."""
 
 _QUANTITY_REMEDIES: dict[str, dict[str, str]] = {
-    "db": {"quantity": "double the decibels (--scale 2) if they are 10·log10 of amplitudes"},
+    "db": {"quantity": "double the decibels (`scale=2`) if they are 10·log10 of amplitudes"},
     "complex": {},
 }
 """Remedies besides the looks for quantities that determine power."""
@@ -109,7 +109,7 @@ def _plausible_range(dataset: Dataset, examined: Examination) -> bool:
         f"brightest pixels are {range_db:.0f} dB above the ground, more than any radar image has, so the values are no "
         "decibels, or scaled ones; "
         + _remedy(
-            dataset, quantity="import with --quantity amplitude, or with the --scale and --offset of the decibels"
+            dataset, quantity="import with quantity='amplitude', or with the `scale` and `offset` of the decibels"
         )
     )
     return False
@@ -142,7 +142,7 @@ def _speckle(dataset: Dataset, examined: Examination) -> bool:
         if ground.contrast > _SPECKLED:
             examined.contradictions.append(
                 f"the {measured}, as of speckle with {1 / ground.contrast**2:.1f} looks, but the dataset states no "
-                f"speckle; {_remedy(dataset, looks='give the number of looks (--looks)')}"
+                f"speckle; {_remedy(dataset, looks='give the number of `looks`')}"
             )
             examined.checks["resolution"] = "cannot be determined from speckle of unknown looks"
         return False
@@ -165,20 +165,20 @@ def _speckle(dataset: Dataset, examined: Examination) -> bool:
             f"the {measured}, but speckle of {stated} has {of_power:.2f}, so the images are smoother than stated; "
             + _remedy(
                 dataset,
-                looks="give their number of looks (--looks), or 0 if there is no speckle",
+                looks="give their number of `looks`, or looks=None if there is no speckle",
                 quantity=f"{_DECIBELS}, if they hold these",
             )
         )
     elif contrast < (of_power * of_amplitude) ** 0.5:
         remedies_of_quantity = _QUANTITY_REMEDIES.get(str(dataset.source.get("quantity")))
         remedies = {
-            "quantity": "square the values (--quantity amplitude)",
-            "looks": "give another number of looks (--looks) if they are power",
+            "quantity": "square the values (quantity='amplitude')",
+            "looks": "give another number of `looks` if they are power",
         }
         if remedies_of_quantity is not None:  # squares are impossible: the looks are wrong
-            remedies = {"looks": "give another number of looks (--looks)"} | remedies_of_quantity
+            remedies = {"looks": "give another number of `looks`"} | remedies_of_quantity
         elif dataset.source.get("geocoded"):  # amplitude is less likely
-            looks = f"--looks {1 / contrast**2:.2g}"
+            looks = f"`looks={1 / contrast**2:.2g}`"
             remedies = {
                 "looks": f"give the looks that are left after pixels were interpolated to the map ({looks})",
                 "quantity": f"{remedies['quantity']} if they are amplitude",
@@ -192,8 +192,8 @@ def _speckle(dataset: Dataset, examined: Examination) -> bool:
             f"the {measured}, but power of {stated} has {of_power:.2f}; "
             + _remedy(
                 dataset,
-                quantity="take the root of the values (--quantity power) if they were squared twice",
-                looks="give another number of looks (--looks)",
+                quantity="take the root of the values (quantity='power') if they were squared twice",
+                looks="give another number of `looks`",
             )
             + f", or {_DECIBELS}" * ("quantity" in _options(dataset))
         )
@@ -224,7 +224,7 @@ def _resolution(dataset: Dataset, widths: tuple[float | None, float | None], by:
         ratio = width / (max(stated, spacing) if blurred else stated)
         if not low_high[0] <= ratio <= low_high[1]:
             pictures = "quantity" in _options(dataset) or dataset.source.get("kind") == "stack"
-            options = " (--resolution, --spacing)" * pictures
+            options = " (`resolution_m`, `spacing_m`)" * pictures
             examined.contradictions.append(
                 f"{evidence} of a resolution of {width:.2g} m in {name}, but {stated:.3g} m is stated, with pixels of "
                 f"{spacing:.3g} m; correct the resolution or the pixel spacing in {name}{options}"

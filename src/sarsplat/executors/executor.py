@@ -82,13 +82,10 @@ class Means:
     per_device: int | None = None
 
     def __post_init__(self) -> None:
-        for name, count in (("processes", self.processes), ("per_device", self.per_device)):
-            if count is not None and count < 1:
-                raise SarsplatError(f"{name} is {count}; give at least 1")
-        if self.gpus is not None and not 0 <= self.gpus < float("inf"):
-            raise SarsplatError(f"gpus is {self.gpus}; give a share of a GPU such as 0.25, or a whole number")
-        if self.retries < 0:
-            raise SarsplatError(f"retries is {self.retries}; give 0 or more")
+        for name, least in (("processes", 1), ("per_device", 1), ("gpus", 0), ("retries", 0)):
+            value = getattr(self, name)
+            if value is not None and not least <= value < float("inf"):
+                raise SarsplatError(f"{name} is {value}; give a finite number from {least}")
 
 
 class Executor(Protocol):

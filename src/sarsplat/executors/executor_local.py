@@ -1,24 +1,41 @@
-"""Local executor: CPU jobs in processes of one thread each, GPU jobs several at a time in a process per GPU."""
+"""Local executor: CPU jobs in processes of one thread each, GPU jobs several at a time in a process per GPU.
+
+The module is also the program of these processes: JSON lines of jobs in, of results out; it ends with its parent.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any
+from typing import Any, BinaryIO
 
+import msgspec
 import torch
 
-from sarsplat.executors.executor import J, Job, Means
-from sarsplat.executors.worker import Worker
+from sarsplat.executors.executor import J, Job, Means, Work, work_named
+from sarsplat.typed import decode
 
 _MAX_PER_DEVICE = 4
 """Default number of jobs at a time on a GPU. A guess, not measured: one leaves the GPU idle while Python and scores
 keep a core busy, but all share the interpreter lock of their process, and memory."""
 
 _VISIBLE = "CUDA_VISIBLE_DEVICES"
+
+_SIGNALS = {one.value: one.name for one in signal.Signals}
+
+_BROKEN_GPU = 75
+"""Exit code of a worker whose GPU has failed."""
+
+Answer = tuple[str, Any]
+"""Address of a job and its result, or None if another process is doing the job."""
 
 
 class Team:
@@ -85,3 +102,158 @@ def _gpus() -> list[dict[str, str]]:
     visible = os.environ.get(_VISIBLE)
     names = visible.split(",") if visible else [*map(str, range(count))]
     return [{_VISIBLE: name} for name in names[:count]]
+
+
+class Worker:
+    """Handle of a worker process, which starts with the first job and again after it has died.
+
+    Parameters
+    ----------
+    work : str
+        Address of the `Work` of all its jobs.
+    out : Path
+        Output folder of the jobs.
+    again : bool
+        Retry failed jobs.
+    at_a_time : int
+        Number of jobs at a time, each asked from another thread.
+    environment : mapping of str to str
+        Environment variables that differ in the process.
+    """
+
+    def __init__(
+        self, work: str, out: Path, again: bool, at_a_time: int = 1, environment: Mapping[str, str] | None = None
+    ) -> None:
+        self._arguments = [work, str(out), str(again), str(at_a_time)]
+        self._work, self._out, self._environment, self._ended = work_named(work), out, environment or {}, False
+        self._process: subprocess.Popen[bytes] | None = None
+        self._listener: threading.Thread | None = None
+        self._asked: dict[str, tuple[Job, Future[Any]]] = {}
+        self._lock = threading.Lock()
+
+    def ask(self, job: Job) -> Any:
+        """Do a job and return its result; if the process dies, that of `Work.lost`."""
+        answer: Future[Any] = Future()
+        with self._lock:
+            if self._ended:
+                return None
+            if self._process is None:
+                self._process = self._started()
+                self._listener = threading.Thread(target=self._listen, args=(self._process,), daemon=True)
+                self._listener.start()
+            self._asked[job.address] = job, answer
+            assert self._process.stdin is not None
+            with suppress(BrokenPipeError):
+                self._process.stdin.write(msgspec.json.encode(job) + b"\n")
+                self._process.stdin.flush()
+        return answer.result()
+
+    def kill(self) -> None:
+        """Kill the process at once, in whatever job."""
+        with self._lock:
+            self._ended = True
+            if self._process is not None:
+                self._process.kill()
+
+    def close(self) -> None:
+        """Wait for the end of a killed process."""
+        if self._listener is not None:
+            self._listener.join()
+
+    def _listen(self, process: subprocess.Popen[bytes]) -> None:
+        """Pass on the results of a process and, after its end, `Work.lost` for its unfinished jobs."""
+        assert process.stdout is not None
+        kind: Any = tuple[str, self._work.result | None]  # type: ignore[name-defined]
+        for line in process.stdout:
+            if line.endswith(b"\n"):  # complete, unlike the last line of a killed process
+                address, result = decode(line, kind)
+                self._asked.pop(address)[1].set_result(result)
+        code = process.wait()
+        with self._lock:
+            unanswered, self._asked, self._process = self._asked, {}, None
+            with suppress(BrokenPipeError), process:  # closes its pipes
+                pass
+        for job, answer in unanswered.values():
+            try:
+                lost = None if self._ended else self._work.lost(job, self._out, _reason(job, code, self._work.go_on))
+                answer.set_result(lost)
+            except Exception as error:  # such as a full disk
+                answer.set_exception(error)
+
+    def _started(self) -> subprocess.Popen[bytes]:
+        return subprocess.Popen(
+            [sys.executable, "-m", "sarsplat.executors.executor_local", *self._arguments],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env={
+                **os.environ,
+                "OMP_NUM_THREADS": "1",
+                "OMP_WAIT_POLICY": "PASSIVE",
+                "PYTHONPATH": os.pathsep.join(filter(None, sys.path)),
+                **self._environment,
+            },
+            start_new_session=True,  # Ctrl-C reaches the parent, which kills the workers
+        )
+
+
+def _reason(job: Job, code: int, go_on: str) -> str:
+    """Describe the loss of a job by its process's exit code."""
+    if code == _BROKEN_GPU:
+        return f"the GPU failed in another run of its process; {go_on}"
+    by = _SIGNALS.get(-code, f"signal {-code}")
+    ended = f"was ended by {by}" if code < 0 else f"ended with code {code}"
+    fewer = "`per_device`" if job.device == "cuda" else "`processes`"
+    hint = f", as when memory runs out: give fewer {fewer}" if by == "SIGKILL" else ""
+    return f"its process {ended}{hint}; {go_on}"
+
+
+# ---- the process ----
+def work(kind: Work, out: Path, again: bool, at_a_time: int) -> None:
+    """Do the jobs on stdin, `at_a_time` at once, until it closes."""
+    answers = Answers(os.fdopen(os.dup(1), "wb"))
+    os.dup2(2, 1)  # prints go to stderr
+    asked: SimpleQueue[bytes] = SimpleQueue()
+    threading.Thread(target=_listen, args=(asked,), daemon=True).start()
+    for _ in range(at_a_time - 1):
+        threading.Thread(target=serve, args=(kind, asked, answers, out, again), daemon=True).start()
+    serve(kind, asked, answers, out, again)
+
+
+class Answers:
+    """Thread-safe output of answers, one per line."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file, self._lock = file, threading.Lock()
+
+    def put(self, answer: Answer) -> None:
+        with self._lock:
+            self._file.write(msgspec.json.encode(answer) + b"\n")
+            self._file.flush()
+
+
+def serve(kind: Work, asked: SimpleQueue[bytes], answers: Answers, out: Path, again: bool) -> None:
+    """Do queued jobs one after the other; on a GPU, in a separate CUDA stream per thread."""
+    stream = None
+    while True:
+        job = decode(asked.get(), kind.job)
+        on_gpu = job.device == "cuda" and torch.cuda.is_available()
+        if on_gpu and stream is None:
+            stream = torch.cuda.Stream()
+        with torch.cuda.stream(stream) if on_gpu else nullcontext():
+            answers.put((job.address, kind.do(job, out, again)))
+        if stream is not None:
+            try:
+                stream.synchronize()
+            except RuntimeError:  # the CUDA context is lost
+                os._exit(_BROKEN_GPU)
+
+
+def _listen(asked: SimpleQueue[bytes]) -> None:
+    """Queue the lines of stdin; exit when it closes, since the parent has ended."""
+    for line in sys.stdin.buffer:
+        asked.put(line)
+    os._exit(0)
+
+
+if __name__ == "__main__":
+    work(work_named(sys.argv[1]), Path(sys.argv[2]), sys.argv[3] == "True", int(sys.argv[4]))

@@ -81,7 +81,7 @@ class Plan(Record):
                 raise SarsplatError(f"{one} is {shown(list(value))}, the same twice; give each once")
         for setting in [name for _, settings in self.each_method() for name in settings]:
             if setting in _OWN:
-                raise SarsplatError(f"the setting {setting} is not one of `settings`; give {_OWN[setting]} instead")
+                raise SarsplatError(f"{setting} is a key of the plan, not a setting; give {_OWN[setting]} instead")
 
     @classmethod
     def read(cls, path: Path) -> Self:
@@ -127,9 +127,7 @@ class Plan(Record):
             matched = sorted(map(Path, glob(where, recursive=True, include_hidden=True)))  # noqa: PTH207
             matched = [path for path in matched if (path / _MARK).is_file()] if pattern.strip("./") else [base]
             if not matched:
-                raise SarsplatError(
-                    f"no dataset is at {base / pattern}; correct the pattern {shown(pattern)} of `datasets`"
-                )
+                raise SarsplatError(f"no dataset is at {base / pattern}; correct the pattern {shown(pattern)}")
             found |= dict.fromkeys(path.resolve() for path in matched)
         names = [path.name for path in found]
         return {path: path.name if names.count(path.name) == 1 else str(path) for path in found}
