@@ -8,9 +8,8 @@ import torch
 
 from sarsplat.baselines.baseline import Scene
 from sarsplat.baselines.mesh_renderer import Layers, MeshRenderer
+from sarsplat.baselines.meshes import flatten_loss, icosphere, iou_loss, laplacian_loss
 from sarsplat.baselines.method_dsr import Dsr, DsrConfig
-from sarsplat.baselines.regularity import flatten_loss, iou_loss, laplacian_loss
-from sarsplat.baselines.template import icosphere
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
 

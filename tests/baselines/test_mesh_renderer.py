@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from sarsplat.baselines.mesh_renderer import Layers, MeshRenderer
-from sarsplat.baselines.template import cube_sphere, icosphere
+from sarsplat.baselines.meshes import cube_sphere, icosphere
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View, radar_frame
 

@@ -9,10 +9,9 @@ import pytest
 import torch
 
 from sarsplat.baselines.baseline import Scene
-from sarsplat.baselines.fields import Field, encoded, isosurface, level_of_half
+from sarsplat.baselines.fields import Field, Rays, encoded, isosurface, level_of_half
 from sarsplat.baselines.method_sar_nerf import SarNerf, SarNerfConfig, scene_boxes
 from sarsplat.baselines.method_sar_nerf_grid import SarNerfGrid, SarNerfGridConfig
-from sarsplat.baselines.rays import Rays
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View, radar_frame
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sarsplat.baselines.template import cube_sphere, icosphere
+from sarsplat.baselines.meshes import cube_sphere, icosphere
 
 
 @pytest.mark.parametrize(("template", "vertices", "faces"), [(icosphere(8), 642, 1280), (cube_sphere(15), 1352, 2700)])

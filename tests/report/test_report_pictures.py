@@ -14,14 +14,12 @@ from datasets import dataset_of
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.report import Look, contact_sheet, decibel_png, sheet
-from sarsplat.report.animation import frame
 from sarsplat.report.boards import SIDES, Raster, point_boards
 from sarsplat.report.check_sheet import check_sheet
 from sarsplat.report.curves import curves_figure
 from sarsplat.report.figure import axis, nice, scale_bar
-from sarsplat.report.images import target_window
-from sarsplat.report.rendered import Rendered, require_distinct
-from sarsplat.report.residual import Difference, window
+from sarsplat.report.images import Difference, target_window, window
+from sarsplat.report.rendered import Rendered, frame, require_distinct
 from sarsplat.report.views import evenly
 from sarsplat.runs.run_folder import LogLine
 

@@ -3,7 +3,7 @@
 import logging
 import threading
 
-from sarsplat.viewer.newest import Newest
+from sarsplat.viewer.server import Newest
 
 
 def test_many_requests_during_one_piece_of_work_are_one_more():

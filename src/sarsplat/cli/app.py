@@ -10,7 +10,7 @@ import warnings
 from sarsplat import extras
 from sarsplat.cli import console
 from sarsplat.errors import AssumptionWarning, SarsplatError, SarsplatWarning
-from sarsplat.version import installed_version
+from sarsplat.extras import installed_version
 
 _MISUSED = 2
 _READER_LEFT = 141  # as shells have it

@@ -19,12 +19,12 @@ from sarsplat.data.dataset_folder import HEADER
 from sarsplat.data.files import write_bytes, write_json
 from sarsplat.data.sidecar import UNPLACED, read_unplaced, unplaced_in
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
+from sarsplat.extras import program_version
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.progress import progress
 from sarsplat.samples.chip_set import folder_name, one_serial, require_distinct_folders
 from sarsplat.samples.encoding import ENDINGS, Encoding
 from sarsplat.samples.write import UNUSUAL_COLUMNS, unusual_columns, unusual_values
-from sarsplat.version import program_version
 
 LABELS = "labels.csv"
 MARKER = "measured-chips.json"

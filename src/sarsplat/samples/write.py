@@ -25,6 +25,7 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.data import new_folder, write_bytes
 from sarsplat.data.files import encode_json, open_file, read_versioned_json
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.extras import program_version
 from sarsplat.geometry import View
 from sarsplat.learning.sampler import LEARNED, UNIFORM
 from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side, Speckle
@@ -32,7 +33,6 @@ from sarsplat.progress import progress
 from sarsplat.samples.chip_set import Chips
 from sarsplat.samples.encoding import ENDINGS
 from sarsplat.samples.parallel_map import parallel_map
-from sarsplat.version import program_version
 
 LABELS = "labels.csv"
 
