@@ -37,7 +37,7 @@ SIGNALS = (np.random.default_rng(2).normal(size=(4, 6, 5, 2)) @ [1, 1j]).astype(
 def dataset_of(
     grid: ImageGrid, views: Sequence[tuple[View, str]], images: np.ndarray, *, stack: Stack | None = None, **fields: Any
 ) -> Dataset:
-    """Dataset in memory, with phases if images have them or are stacks, of (view, split); images are named 000, 001 …"""
+    """Dataset in memory, with phases if images have them or are stacks; images are named 000, 001 …"""
     entries = tuple(DatasetEntry(view, split, f"{index:03d}", stack=stack) for index, (view, split) in enumerate(views))
     return (Dataset.of_complex if np.iscomplexobj(images) else Dataset)(grid, entries, images, **fields)
 
@@ -118,7 +118,7 @@ def upright(
     depth: float | list | Tensor = 1.0,
     law: Scattering | float | np.ndarray | Tensor = 1.0,
 ) -> Gaussians:
-    """Unturned Gaussians at places [N, 3], m, float32; other values of each, or of all, and harmonics or another law."""
+    """Unturned Gaussians at places [N, 3], m; other values of each, or of all, and harmonics or another law."""
     places = torch.as_tensor(means, dtype=torch.float32).reshape(-1, 3)
     n = len(places)
     sizes, depths = (torch.as_tensor(values, dtype=torch.float32) for values in (scales, depth))

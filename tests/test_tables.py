@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datasets import dataset_of
+from made import dataset_of
 from programs import ROOT
 from sarsplat import ImageGrid, View, import_mstar, sweep
 from sarsplat.cli.arguments import views_from

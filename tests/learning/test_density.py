@@ -7,11 +7,11 @@ from dataclasses import replace
 import pytest
 import torch
 
+from made import upright
 from sarsplat import Gaussians, ImageGrid, SarsplatError
 from sarsplat.learning.strategies import State
 from sarsplat.learning.strategies.density import DensityControl
 from sarsplat.settings.sections import Densification
-from upright import upright
 
 CONTROL = Densification(
     start=10, stop=100, every=10, gradient=1.0, split_above=0.1, max_extent=0.3, min_scattering=0.01, max_gaussians=10

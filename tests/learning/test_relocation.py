@@ -7,11 +7,11 @@ from dataclasses import replace
 import pytest
 import torch
 
+from made_runs import trained
 from sarsplat import Dataset, preset
 from sarsplat.learning.strategies import State, ops
 from sarsplat.learning.strategies.relocation import Relocating, pairs
 from sarsplat.settings.sections import Relocation
-from trainings import trained
 
 
 def generator() -> torch.Generator:

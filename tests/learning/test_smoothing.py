@@ -11,12 +11,12 @@ from jaxtyping import Float64
 from torch import Tensor
 from torch.nn.functional import normalize
 
+from made_runs import assert_same, trained
 from sarsplat import Dataset, preset
 from sarsplat.gaussians.covariance import rotated
 from sarsplat.learning import Trainer, levels
 from sarsplat.learning.strategies.smoothing import Smoothed, towards_planes, turned
 from sarsplat.settings.sections import Smoothing
-from trainings import assert_same, trained
 
 UP = np.array([0.0, 0.0, 1.0])
 

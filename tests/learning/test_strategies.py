@@ -11,6 +11,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from made_runs import assert_same, trained
 from sarsplat import Dataset, SarsplatError, preset, reconstruct
 from sarsplat.learning import Trainer
 from sarsplat.learning.optimiser import Optimiser
@@ -18,7 +19,6 @@ from sarsplat.learning.parts.part import Learned
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.learning.strategies import Info, State, Strategy, ops
 from sarsplat.settings.sections import Densification
-from trainings import assert_same, trained
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "own_strategy.py"
 CONFIG = replace(

@@ -14,11 +14,11 @@ from emulated_cuda import Emulator
 from emulated_recorder import EmulatedRecorder
 from test_recorded_steps import CONFIGS
 
+from made_runs import assert_same
 from sarsplat import Dataset
 from sarsplat.learning import Trainer
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.renderer.engines import choice, cuda, on_device
-from trainings import assert_same
 
 STEPS = 12
 TOGETHER = ("default", "quick", "speckled", "measured")

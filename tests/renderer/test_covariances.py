@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import torch
 
+from made import upright
 from sarsplat import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, Stack, View, radar_frame
 from sarsplat.renderer import render, render_covariances
-from upright import upright
 
 WAVELENGTH, VIEW = 0.031, View(20.0, 45.0)
 

@@ -10,12 +10,12 @@ import torch
 from emulated_cuda import SCHEDULES, Emulator, guarded
 from torch import Tensor
 
+from made import hill
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.echoes.echo import RayEnds
 from sarsplat.renderer.echoes.lit_terrain import lit_terrain
 from sarsplat.renderer.engines import cuda
 from sarsplat.renderer.engines.passes import NewPass
-from terrains import hill
 
 GRID = ImageGrid(21, 19, (0.3, 0.25), (0.45, 0.4))
 VIEWS = (View(0.0, 25.0), View(75.0, 40.0), View(200.0, 70.0))

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from datasets import dataset_of
-from reports import METRICS, POINT_KEYS, make_dataset, make_metrics, make_run
+from made import dataset_of
+from made_runs import METRICS, POINT_KEYS, make_dataset, make_metrics, make_run
 from sarsplat.data import write_dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation import Alignment, Scores

@@ -21,7 +21,7 @@ import msgspec
 import torch
 
 from sarsplat.executors.executor import Job, Work, work_named
-from sarsplat.typed import decode
+from sarsplat.threads import decode
 
 _SIGNALS = {one.value: one.name for one in signal.Signals}
 

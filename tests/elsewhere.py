@@ -1,1 +1,0 @@
-from programs import *  # noqa: F403

@@ -1,1 +1,0 @@
-from made_runs import *  # noqa: F403
