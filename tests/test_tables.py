@@ -287,7 +287,3 @@ def test_quick_tables_do_not_reach_the_results(made, tmp_path, monkeypatch, caps
     with pytest.raises(SystemExit, match="2"):
         made.tables.main()
     assert "there is no experiment 'los'; choose from rendered, " in capsys.readouterr().err
-    monkeypatch.setattr(sys, "argv", ["tables.py", "--chips", "nowhere"])
-    with pytest.raises(SystemExit, match="2"):
-        made.tables.main()
-    assert "need --chips and --labels together" in capsys.readouterr().err

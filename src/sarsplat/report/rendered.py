@@ -6,7 +6,7 @@ import io
 import math
 import re
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -29,7 +29,7 @@ from sarsplat.report.look import Look, decibel_png
 from sarsplat.report.sheet import contact_sheet
 
 if TYPE_CHECKING:
-    from PIL import Image, ImageFont
+    from PIL import ImageFont
 
 Frame = UInt8[np.ndarray, "height width"]
 Palette = UInt8[np.ndarray, "256 3"]
@@ -248,24 +248,17 @@ def _font() -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
     return ImageFont.load_default(_TEXT)
 
 
-def _gif(frames: Sequence[Frame], palette: Palette, durations_ms: list[int]) -> bytes:
+def _by_pillow(kind: str, frames: Sequence[Frame], palette: Palette, durations_ms: list[int]) -> bytes:
+    """GIF, of fewer shades, or WEBP."""
     from PIL import Image
 
-    pictures = [Image.fromarray(frame // _GIF_STEP * _GIF_STEP) for frame in frames]
-    for picture in pictures:
-        picture.putpalette(palette.tobytes())
-    return _by_pillow("GIF", pictures, durations_ms)
-
-
-def _webp(frames: Sequence[Frame], palette: Palette, durations_ms: list[int]) -> bytes:
-    from PIL import Image
-
-    return _by_pillow("WEBP", [Image.fromarray(palette[frame]) for frame in frames], durations_ms)
-
-
-def _by_pillow(kind: str, pictures: list[Image.Image], durations_ms: list[int]) -> bytes:
+    if kind == "GIF":
+        first, *others = (Image.fromarray(frame // _GIF_STEP * _GIF_STEP) for frame in frames)
+        for picture in (first, *others):
+            picture.putpalette(palette.tobytes())
+    else:
+        first, *others = (Image.fromarray(palette[frame]) for frame in frames)
     buffer = io.BytesIO()
-    first, *others = pictures
     first.save(buffer, kind, save_all=True, append_images=others, duration=durations_ms, loop=0, optimize=False)
     return buffer.getvalue()
 
@@ -306,6 +299,6 @@ def write_animation(path: Path, frames: Sequence[Frame], palette: Palette, secon
             f"{len(frames)} frames in {seconds:g} s are more than {1000 // _SHORTEST_MS} a second; give more seconds "
             "or fewer frames"
         )
-    writers: dict[str, Callable[[Sequence[Frame], Palette, list[int]], bytes]]
-    writers = {".mp4": _mp4, ".gif": _gif, ".webp": _webp}
-    write_bytes(path, writers[path.suffix.lower()](frames, palette, durations_ms))
+    kind = path.suffix[1:].upper()
+    encoded = _mp4(frames, palette, durations_ms) if kind == "MP4" else _by_pillow(kind, frames, palette, durations_ms)
+    write_bytes(path, encoded)
