@@ -290,15 +290,13 @@ def write_animation(path: Path, frames: Sequence[Frame], palette: Palette, secon
     The player decides if .mp4 loops. Frames have even sides and index into the palette (RGB). Raises
     `SarsplatError` if the frame rate is too high, a package is missing, or the file cannot be written.
     """
-    if not 0 < seconds < 3600:
-        raise SarsplatError(f"an animation cannot take {seconds:g} s; give more than 0 and less than 3600")
+    if not _SHORTEST_MS * len(frames) / 1000 <= seconds < 3600:
+        raise SarsplatError(
+            f"an animation of {counted(len(frames), 'frame')} cannot take {seconds:g} s; give less than an hour, and at "
+            f"most {1000 // _SHORTEST_MS} frames a second"
+        )
     ends_ms = 10 * np.round(100 * seconds * np.arange(len(frames) + 1) / len(frames)).astype(int)  # GIF counts 10 ms
     durations_ms = np.diff(ends_ms).tolist()
-    if min(durations_ms) < _SHORTEST_MS:
-        raise SarsplatError(
-            f"{len(frames)} frames in {seconds:g} s are more than {1000 // _SHORTEST_MS} a second; give more seconds "
-            "or fewer frames"
-        )
     kind = path.suffix[1:].upper()
     encoded = _mp4(frames, palette, durations_ms) if kind == "MP4" else _by_pillow(kind, frames, palette, durations_ms)
     write_bytes(path, encoded)
