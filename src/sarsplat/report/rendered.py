@@ -292,8 +292,8 @@ def write_animation(path: Path, frames: Sequence[Frame], palette: Palette, secon
     """
     if not _SHORTEST_MS * len(frames) / 1000 <= seconds < 3600:
         raise SarsplatError(
-            f"an animation of {counted(len(frames), 'frame')} cannot take {seconds:g} s; give less than an hour, and at "
-            f"most {1000 // _SHORTEST_MS} frames a second"
+            f"an animation of {counted(len(frames), 'frame')} cannot take {seconds:g} s; give less than an hour, "
+            f"and at most {1000 // _SHORTEST_MS} frames a second"
         )
     ends_ms = 10 * np.round(100 * seconds * np.arange(len(frames) + 1) / len(frames)).astype(int)  # GIF counts 10 ms
     durations_ms = np.diff(ends_ms).tolist()
