@@ -113,17 +113,7 @@ class Page:
 
 
 class Browser:
-    """A running Chromium.
-
-    Parameters
-    ----------
-    process : subprocess.Popen
-        Its process.
-    page : Page
-        Its only tab.
-    net_log : Path
-        Where it writes down what it asks the network for.
-    """
+    """A running Chromium, its only tab, and the file in which it notes what it asks the network for."""
 
     def __init__(self, process: subprocess.Popen[bytes], page: Page, net_log: Path) -> None:
         self._process, self.page, self._net_log = process, page, net_log

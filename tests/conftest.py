@@ -63,7 +63,7 @@ def nothing_is_synced() -> Iterator[None]:
 @pytest.fixture(scope="session")
 def small_box(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """A dataset that nobody may change: a box on the ground in 28 × 24 pixels from twelve sides, with masks."""
-    from datasets import box_dataset
+    from made import box_dataset
     from sarsplat.geometry import ImageGrid
 
     grid = ImageGrid(28, 24, (0.3, 0.35), (0.3, 0.35))
@@ -73,7 +73,7 @@ def small_box(tmp_path_factory: pytest.TempPathFactory) -> Any:
 @pytest.fixture(scope="session")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Any:
     """A dataset that nobody may change: a box in 32 × 32 pixels from twelve sides, to learn from."""
-    from datasets import box_dataset
+    from made import box_dataset
     from sarsplat.geometry import ImageGrid
 
     return box_dataset(tmp_path_factory.mktemp("box"), ImageGrid(32, 32, (0.3, 0.3), (0.45, 0.45)))
@@ -82,7 +82,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Any:
 @pytest.fixture(scope="session")
 def config() -> Any:
     """Settings of a short training on it."""
-    from datasets import FEW_POINTS
+    from made import FEW_POINTS
     from sarsplat import preset
 
     short = {"iterations": 60, "gaussians": 600, "harmonics_every": 20, "checkpoint_every": 20}

@@ -6,7 +6,6 @@ import random
 import re
 import struct
 import tempfile
-import warnings
 import zlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -20,12 +19,14 @@ import torch
 import trimesh
 from PIL import Image
 
-import fuzz_cphd
+import cphds
 import fuzz_pictures as pics
-import fuzz_sicd
+import fuzz_radar_files as radar
+import sicds
 from chip_files import COLUMNS, phoenix_bytes
-from datasets import dataset_of
 from fuzz_mutations import FLOATS, NUMBERS, Mutation, spoil_bytes, spoil_json
+from fuzz_radar_files import written
+from made import dataset_of
 from pulses import FREQUENCIES, circle, record
 from rslcs import halves, write_rslc
 from sarsplat.data import (
@@ -40,7 +41,6 @@ from sarsplat.data import (
     write_points_ply,
 )
 from sarsplat.data.ply import SPLAT
-from sarsplat.errors import SarsplatWarning
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.geometry.responses import Taylor
@@ -96,15 +96,8 @@ def _phoenix_fits(data: bytes, rng: random.Random) -> bytes:
 def _read_phoenix(folder: Path) -> object:
     chip = read_phoenix(folder / "HB00001.000")
     assert np.isfinite(np.square(chip.magnitude)).all()
-    return (
-        chip,
-        chip.target_type,
-        chip.serial,
-        chip.target_az_deg,
-        chip.spacing_m,
-        chip.resolution_m,
-        chip.radar_position,
-    )
+    told = chip.target_type, chip.serial, chip.target_az_deg, chip.spacing_m, chip.resolution_m, chip.radar_position
+    return chip, told
 
 
 # ---- datasets and their images ----
@@ -159,12 +152,10 @@ def _spoil_tiff(data: bytes, rng: random.Random) -> bytes:
         return spoil_bytes(data, rng)
     count = struct.unpack_from("<H", data, start)[0]
     place = start + 2 + 12 * rng.randrange(max(1, min(count, 20)))
-    tag = rng.choice(
-        (256, 257, 258, 259, 262, 270, 273, 277, 278, 279, 284, 322, 324, 325, 330, 339, 347, 34735, 65535)
-    )
-    offset, code, value = rng.choice(
-        ((0, "<H", tag), (2, "<H", rng.randrange(20)), (4, "<I", rng.choice(NUMBERS)), (8, "<I", rng.choice(NUMBERS)))
-    )
+    tags = (256, 257, 258, 259, 262, 270, 273, 277, 278, 279, 284, 322, 324, 325, 330, 339, 347, 34735, 65535)
+    fields = ((0, "<H", tags), (2, "<H", range(20)), (4, "<I", NUMBERS), (8, "<I", NUMBERS))
+    offset, code, values = rng.choice(fields)
+    value = rng.choice(values)
     packed = struct.pack(code, value % 256 ** struct.calcsize(code))
     return data[: place + offset] + packed + data[place + offset + len(packed) :]
 
@@ -178,39 +169,29 @@ def _read_tiff(folder: Path) -> object:
 # ---- PLY ----
 
 
-def _written(write: Callable[[Path], object]) -> bytes:
-    with tempfile.TemporaryDirectory() as folder:
-        write(Path(folder) / "file")
-        return (Path(folder) / "file").read_bytes()
-
-
 def _gaussians(degree: int) -> bytes:
     g = torch.Generator().manual_seed(degree)
     some = Gaussians(
         torch.randn(5, 3, generator=g), torch.randn(5, 4, generator=g), torch.rand(5, 3, generator=g) + 0.1,
         torch.rand(5, generator=g), Harmonics(torch.randn(5, (degree + 1) ** 2, generator=g), 0.05),
     )  # fmt: skip
-    return _written(lambda path: write_gaussians_ply(path, some))
+    return written(lambda path: write_gaussians_ply(path, some))
 
 
 def _points() -> bytes:
     points = np.random.default_rng(0).normal(size=(9, 3))
-    return _written(lambda path: write_points_ply(path, points, power=np.arange(9), support=np.linspace(0, 1, 9)))
+    return written(lambda path: write_points_ply(path, points, power=np.arange(9), support=np.linspace(0, 1, 9)))
 
 
 def _ply_fits(data: bytes, rng: random.Random) -> bytes:
     """Types, names and counts changed in the header, and the data cut or filled to the length it then asks for."""
     head, end, body = data.partition(b"end_header\n")
-    lines = head.split(b"\n")
+    lines, sizes = head.split(b"\n"), {b"uchar": 1, b"double": 8, b"float": 4, b"int": 4}
     for _ in range(rng.choice((1, 3))):
         place = rng.randrange(len(lines))
-        kind, name = (
-            rng.choice((b"uchar", b"double", b"float", b"int")),
-            rng.choice((b"x", b"a", b"scale_0", b"f_rest_9")),
-        )
+        kind, name = rng.choice([*sizes]), rng.choice((b"x", b"a", b"scale_0", b"f_rest_9"))
         new = (b"property " + kind + b" " + name, b"element vertex %d" % rng.choice((0, 1, 50_000)), b"element e 3")
         lines[place] = rng.choice(new)
-    sizes = {b"uchar": 1, b"double": 8, b"float": 4, b"int": 4}
     size = count = 0
     for words in (line.split() for line in lines):
         if len(words) == 3 and words[0] == b"element" and words[2].isdigit():
@@ -242,9 +223,10 @@ def _finite(gaussians: Gaussians) -> object:
 # ---- checkpoints ----
 
 
-def _checkpoint() -> bytes:
+def _checkpoints() -> list[bytes]:
     tensors = {"model/means": torch.randn(4, 3), "mask": torch.tensor([True]), "n": torch.arange(3)}
-    return _written(lambda path: save_checkpoint(path, tensors, {"iteration": 7, "seconds": 1.5, "g": [2**70, "ü"]}))
+    state = {"iteration": 7, "seconds": 1.5, "g": [2**70, "ü"]}
+    return [written(lambda path: save_checkpoint(path, tensors, state)), safetensors.torch.save({"x": torch.ones(3)})]
 
 
 def _spoil_checkpoint(data: bytes, rng: random.Random) -> bytes:
@@ -270,21 +252,18 @@ def _spoil_checkpoint(data: bytes, rng: random.Random) -> bytes:
 # ---- runs ----
 
 
-def _run(folder: Path) -> None:
-    (folder / "run").mkdir()
-    (folder / "run/config.json").write_bytes(_run_config()[0])
+def _run_reader(name: str, file: str, what: str, seeds: Callable[[], list[bytes]], mutation: Mutation) -> Reader:
+    def prepare(folder: Path) -> None:
+        (folder / "run").mkdir()
+        (folder / "run/config.json").write_bytes(_run_config()[0])
+
+    return Reader(name, f"run/{file}", lambda at: getattr(Run.load(at / "run"), what), seeds, (mutation,), prepare)
 
 
 def _run_config() -> list[bytes]:
-    config = PRESETS["measured"]
-    head = {
-        "schema": "sarsplat-run",
-        "schema_version": SCHEMA_VERSION,
-        "dataset": "/nowhere",
-        "dataset_fingerprint": "0" * 64,
-        "method": "sar-gs",
-    }
-    return [json.dumps({**head, "config": asdict(config)}).encode()]
+    head = {"schema": "sarsplat-run", "schema_version": SCHEMA_VERSION, "method": "sar-gs"}
+    head |= {"dataset": "/nowhere", "dataset_fingerprint": "0" * 64, "config": asdict(PRESETS["measured"])}
+    return [json.dumps(head).encode()]
 
 
 def _history() -> list[bytes]:
@@ -302,14 +281,8 @@ def _spoil_lines(data: bytes, rng: random.Random) -> bytes:
 def _metrics() -> list[bytes]:
     scores = {"psnr_db": 30.5, "ssim": 0.9, "lpips": None}
     found = {"images": {"test": scores}, "points": {"visible": {"cd_m": 0.1}}, "mesh": {}, "baselines": None}
-    found |= {
-        "truth": {"mesh": None},
-        "time_s": 2.5,
-        "seed": 0,
-        "parameters": {"mean_power": 0.1},
-        "definitions": {"ssim": "…"},
-        "reasons": {"a": "b"},
-    }
+    found |= {"truth": {"mesh": None}, "time_s": 2.5, "seed": 0, "parameters": {"mean_power": 0.1}}
+    found |= {"definitions": {"ssim": "…"}, "reasons": {"a": "b"}}
     return [json.dumps(found).encode()]
 
 
@@ -401,13 +374,11 @@ def _read_chips(folder: Path) -> object:
 def _rslcs() -> list[bytes]:
     image = np.random.default_rng(0).normal(size=(40, 30, 2)) @ [1, 1j]
     images = {name: halves(image) for name in ("HH", "HV", "VV")}
-    return [_written(lambda path: write_rslc(path, images)), _written(lambda path: write_rslc(path, {"HH": image}))]
+    return [written(lambda path: write_rslc(path, images)), written(lambda path: write_rslc(path, {"HH": image}))]
 
 
 def _read_rslc(folder: Path) -> object:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", SarsplatWarning)  # there is but one view
-        return import_rslc(folder / "a.h5", folder / "set", size_m=60.0, overwrite=True).power.mean()
+    return import_rslc(folder / "a.h5", folder / "set", size_m=60.0, overwrite=True).power.mean()
 
 
 # ---- MATLAB files ----
@@ -478,29 +449,11 @@ READERS = (
     Reader("g.splat", "g.splat", lambda folder: _finite(read_gaussians_ply(folder / "g.splat")), lambda: [_splat()]),
     Reader("points.ply", "p.ply", lambda folder: read_points_ply(folder / "p.ply"), lambda: [_points()], (_ply_fits,)),
     Reader(
-        "checkpoint",
-        "c.safetensors",
-        lambda folder: load_checkpoint(folder / "c.safetensors"),
-        lambda: [_checkpoint(), safetensors.torch.save({"x": torch.ones(3)})],
-        (_spoil_checkpoint,),
+        "checkpoint", "c.ckpt", lambda folder: load_checkpoint(folder / "c.ckpt"), _checkpoints, (_spoil_checkpoint,)
     ),
-    Reader("run config", "run/config.json", lambda folder: Run.load(folder / "run"), _run_config, (spoil_json,), _run),
-    Reader(
-        "run history",
-        "run/metrics.jsonl",
-        lambda folder: Run.load(folder / "run").history,
-        _history,
-        (_spoil_lines,),
-        _run,
-    ),
-    Reader(
-        "run metrics",
-        "run/metrics.json",
-        lambda folder: Run.load(folder / "run").metrics,
-        _metrics,
-        (spoil_json,),
-        _run,
-    ),
+    _run_reader("run config", "config.json", "config", _run_config, spoil_json),
+    _run_reader("run history", "metrics.jsonl", "history", _history, _spoil_lines),
+    _run_reader("run metrics", "metrics.json", "metrics", _metrics, spoil_json),
     _mesh_reader("obj"),
     _mesh_reader("stl"),
     _mesh_reader("ply", _ply_fits),
@@ -508,11 +461,11 @@ READERS = (
     _mesh_reader("glb", _spoil_glb),
     Reader("labels.csv", "labels.csv", _read_chips, lambda: [_LABELS], (), _chips),
     Reader("chip.jpeg", "chips/a.jpeg", _read_chips, lambda: [_jpeg()], (), _chips),
-    Reader("sicd", "a.nitf", fuzz_sicd.read, fuzz_sicd.seeds, (fuzz_sicd.spoil,)),
+    Reader("sicd", "a.nitf", radar.read_sicd, radar.sicd_seeds, (radar.spoil_xml(sicds),)),
     Reader("rslc", "a.h5", _read_rslc, _rslcs),
     Reader("mat", "a.mat", lambda folder: read_mat(folder / "a.mat"), _mats, (_spoil_mat,)),
     Reader("gotcha", "a.mat", _read_pulses, _pulses, (_spoil_mat, _spoil_pulses)),
-    Reader("cphd", "a.cphd", fuzz_cphd.read, fuzz_cphd.seeds, (fuzz_cphd.spoil, fuzz_cphd.spoil_pulse)),
+    Reader("cphd", "a.cphd", radar.read_cphd, radar.cphd_seeds, (radar.spoil_xml(cphds), radar.spoil_pulse)),
     Reader("folder table", "shots/t.csv", pics.read_table, pics.tables, (pics.spoil_cell,), pics.prepare_table),
     Reader("folder picture", "picture", pics.read_picture, pics.pictures, (_spoil_tiff, pics.spoil_npy)),
     Reader("sample", pics.SAMPLE_FILE, pics.read_sample, pics.samples, (_spoil_mat,), pics.prepare_sample),

@@ -3,7 +3,6 @@
 import io
 import random
 import re
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 from unittest.mock import patch
@@ -14,9 +13,8 @@ import tifffile
 from PIL import Image
 
 from fuzz_mutations import FLOATS, NUMBERS
-from sample_files import sample_bytes, sample_path
+from made import sample_bytes, sample_path
 from sarsplat.data import Dataset
-from sarsplat.errors import SarsplatWarning
 from sarsplat.importers import import_folder, import_sample
 
 _POWER = np.random.default_rng(3).gamma(1.0, size=(10, 12)).astype(np.float32) + 0.1
@@ -75,8 +73,7 @@ def pictures() -> list[bytes]:
     made = []
     for pixels in (eight, (_POWER * 9000).astype(np.uint16), np.stack([eight] * 3, axis=-1), zeros):
         made.append(_saved(Image.fromarray(pixels), "PNG"))
-    made.append(_saved(Image.fromarray(eight).convert("P"), "PNG"))
-    made.append(_saved(Image.fromarray(eight), "JPEG"))
+    made += [_saved(Image.fromarray(eight).convert("P"), "PNG"), _saved(Image.fromarray(eight), "JPEG")]
     for pixels, options in (
         (_POWER, {}),
         (eight, {"compression": "zlib"}),
@@ -162,8 +159,7 @@ def read_sample(folder: Path) -> object:
 
 
 def _checked(importer: Callable[..., Dataset], *places: Path, **options: object) -> object:
-    with patch("os.fsync"), warnings.catch_warnings():  # nothing of it is to be kept
-        warnings.simplefilter("ignore", SarsplatWarning)
+    with patch("os.fsync"):  # nothing of it is to be kept
         dataset = importer(*places, overwrite=True, **options)
     assert np.isfinite(dataset.power).all()
     assert dataset.signal is None or np.isfinite(dataset.signal).all()

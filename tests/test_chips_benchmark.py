@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from chip_files import COLUMNS
-from datasets import FEW_POINTS
+from made import FEW_POINTS
 from sarsplat import preset, reconstruct
 from sarsplat.scenes import mstar_grid
 

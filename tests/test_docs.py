@@ -12,9 +12,9 @@ from typing import Any
 
 import pytest
 
-from datasets import FEW_POINTS
+from made import FEW_POINTS
+from made_runs import made_up
 from programs import ROOT, python
-from sample_runs import made_up
 from sarsplat import Dataset, ImageGrid, SarImage, View, preset, reconstruct, simulate_images, write_dataset
 from sarsplat.cli import main
 from sarsplat.cli.app import parse

@@ -226,7 +226,7 @@ def test_everything_imports_without_what_windows_lacks(fresh):
 ANGLES = {"azimuth_deg", "grazing_deg", "incidence_deg"}
 TRIGONOMETRY = {"sin", "cos", "tan", "radians", "deg2rad"}
 WITHOUT_A_LOOK = {
-    *("radiometry.py", "cli/info_dataset.py", "report/sky.py"),
+    *("radiometry.py", "cli/info_dataset.py", "report/sheet.py"),
     *("examination/neighbouring_views.py", "importers/listed_images.py"),
 }
 """Converts for an angle that users give; draw angles on a round map; asks in which sense azimuths run; by how much a

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 import sarsplat
-from datasets import small_dataset
+from made import small_dataset, upright
 from sarsplat import (
     Config,
     Dataset,
@@ -29,15 +29,11 @@ from sarsplat import (
     Trainer,
     View,
     Viewer,
-    export,
     reconstruct,
-    write_dataset,
-    write_report,
 )
 from sarsplat.arguments import checks_arguments
 from sarsplat.data import read_points_ply, write_mesh, write_points_ply
 from sarsplat.scenes import ScatteringLaw, law_scattering
-from upright import upright
 
 if TYPE_CHECKING:
     import trimesh
@@ -102,16 +98,13 @@ def test_what_fits_is_passed_on(name: str, value: object) -> None:
     ("name", "value", "sentence"),
     [
         ("view", "x", "view is 'x'; give a View(azimuth_deg, grazing_deg)"),
-        ("view", (30, 40), "view is (30, 40); give a View(azimuth_deg, grazing_deg)"),
         ("view", GRID, "view is an object of type ImageGrid; give"),
         ("views", VIEW, f"views is a single one, {VIEW}; put it into a list"),
-        ("views", "x", "views is 'x'; give a list, each a View("),
         ("views", None, "views is None; give a list"),
         ("views", [VIEW, 3], "views holds 3; make each a View("),
         ("path", 3, "path is 3; give a path, a str or a pathlib.Path"),
         ("path", DATA, "path is <Dataset of unnamed: 1 train, 2 test; 16 × 12 pixels>; give a path"),
         ("number", "3", "number is '3'; give a number"),
-        ("number", np.ones(2), "number is an object of type ndarray [2]; give a number"),
         ("count", 1.5, "count is 1.5; give a whole number"),
         ("flag", "no", "flag is 'no'; give True or False"),
         ("flag", torch.ones(2), "flag is an object of type Tensor [2]; give True or False"),
@@ -125,7 +118,6 @@ def test_what_fits_is_passed_on(name: str, value: object) -> None:
         ("tensor", np.ones((2, 3)), "tensor is an object of type ndarray [2, 3]; give a torch.Tensor (torch.as_tensor"),
         ("array", torch.ones(2, 3), "array is an object of type Tensor [2, 3]; give a numpy.ndarray (numpy.asarray"),
         ("mesh", "m.ply", "mesh is 'm.ply'; give a trimesh.Trimesh, such as load_mesh(PATH) reads"),
-        ("lines", "a line", "lines is a single one, 'a line'; put it into a list"),
         ("number", object(), "number is an object of type object; give a number"),
     ],
 )
@@ -212,18 +204,7 @@ def test_no_public_function_takes_just_anything(function: Any, name: str) -> Non
     ("call", "sentence"),
     [
         (lambda: Run.from_gaussians(scene(0)), "a run needs at least one Gaussian"),
-        (lambda: Run.from_gaussians(scene(), GRID).render(VIEW), "views is a single one, View("),
-        (lambda: write_dataset(DATA, "out"), "path is <Dataset of"),
-        (lambda: write_report("out"), "run is 'out'; give a Run, as reconstruct returns or Run.load(PATH) reads"),
-        (
-            lambda: export(scene(), "a.ply"),
-            "run is Gaussians(3, harmonics with 1 number, torch.float32, cpu)",
-        ),
-        (
-            lambda: write_mesh("a.ply", scene()),
-            "mesh is Gaussians(3, harmonics with 1 number, torch.float32, cpu)",
-        ),
-        (lambda: reconstruct(DATA, loss="amplitude"), "loss is 'amplitude'; give a function, not its name"),
+        (lambda: write_mesh("a.ply", scene()), "mesh is Gaussians(3, harmonics with 1 number, torch.float32, cpu)"),
         (lambda: Trainer(DATA, Config(), strategies=[3]), "strategies holds 3; make each an object of"),
         (lambda: reconstruct(None), "dataset is None; give a Dataset, such as read_dataset(PATH) reads or a path"),
         (lambda: Gaussians.cat([scene(), 3]), "scenes holds 3; make each Gaussians"),

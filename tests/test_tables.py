@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datasets import dataset_of
+from made import dataset_of
 from programs import ROOT
 from sarsplat import ImageGrid, View, import_mstar, sweep
 from sarsplat.cli.app import parse
@@ -287,7 +287,3 @@ def test_quick_tables_do_not_reach_the_results(made, tmp_path, monkeypatch, caps
     with pytest.raises(SystemExit, match="2"):
         made.tables.main()
     assert "there is no experiment 'los'; choose from rendered, " in capsys.readouterr().err
-    monkeypatch.setattr(sys, "argv", ["tables.py", "--chips", "nowhere"])
-    with pytest.raises(SystemExit, match="2"):
-        made.tables.main()
-    assert "need --chips and --labels together" in capsys.readouterr().err

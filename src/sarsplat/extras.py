@@ -1,8 +1,6 @@
-"""Optional dependencies (extras) and their installation."""
+"""Installed packages: versions, and optional dependencies (extras)."""
 
 from __future__ import annotations
-
-from sarsplat.version import installed_version
 
 _DISTRIBUTIONS = {
     "PIL": "pillow",
@@ -47,3 +45,18 @@ def install_command(extra: str) -> str:
     if installed_version("sarsplat") is None:
         return f"install it with: pip install {' '.join(EXTRAS[extra].values())}"
     return f"install it with: pip install 'sarsplat[{extra}]'"
+
+
+def installed_version(distribution: str) -> str | None:
+    """Return the version of an installed distribution, or None."""
+    from importlib.metadata import PackageNotFoundError, version  # here, because help does not need it
+
+    try:
+        return version(distribution)
+    except PackageNotFoundError:
+        return None
+
+
+def program_version() -> str:
+    """Return the version of this program, which output files record."""
+    return installed_version("sarsplat") or "from source"

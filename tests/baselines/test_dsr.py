@@ -8,10 +8,8 @@ import torch
 
 from sarsplat.baselines.baseline import Scene
 from sarsplat.baselines.mesh_renderer import Layers, MeshRenderer
+from sarsplat.baselines.meshes import flatten_loss, icosphere, iou_loss, laplacian_loss
 from sarsplat.baselines.method_dsr import Dsr, DsrConfig
-from sarsplat.baselines.regularity import flatten_loss, iou_loss, laplacian_loss
-from sarsplat.baselines.template import icosphere
-from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
 
 GRID = ImageGrid(24, 20, (0.3, 0.35), (0.3, 0.35))
@@ -94,20 +92,6 @@ def test_the_number_of_threads_changes_no_bit(scene_and_images, threads):
     assert torch.equal(results[0][1], results[1][1])
 
 
-@pytest.mark.parametrize(
-    ("masks", "message"),
-    [
-        (None, "but masks is None; give their folder"),
-        (np.zeros((3, 24, 20), np.uint8), "the masks are of shape"),
-        (np.zeros((4, 24, 20), np.uint8), "no mask shows the target"),
-        (np.full((4, 24, 20), 3, np.uint8), "a mask holds the number 3"),
-    ],
-)
-def test_masks_that_do_not_fit_are_refused(scene_and_images, masks, message):
-    with pytest.raises(SarsplatError, match=message):
-        Dsr(replace(scene_and_images[0], masks=masks), DsrConfig())
-
-
 def test_iou_loss_of_masks():
     first = torch.tensor([[1.0, 1.0, 0.0], [0.0, 0.0, 0.0]])
     second = torch.tensor([[0.0, 1.0, 1.0], [0.0, 0.0, 0.0]])
@@ -137,10 +121,3 @@ def test_images_without_ground_are_dark_around_the_target(scene_and_images):
     assert len(model.surface()[0]) == 1352
     assert not model.image(VIEWS[0])[0].any()  # nothing but the target's own return
     assert [name for name, _ in model.named_parameters()] == ["moved", "log_gamma0"]
-
-
-def test_settings_that_make_no_sense_are_refused():
-    with pytest.raises(SarsplatError, match="vertices is 641; it must be one of 642, 1352"):
-        replace(DsrConfig(), vertices=641)
-    with pytest.raises(SarsplatError, match=r"betas is .*; it must be 2 values, each a number from 0 to 0\.9999"):
-        replace(DsrConfig(), betas=(0.5, 1.5))

@@ -155,23 +155,17 @@ def test_a_method_is_not_taken_for_another(small_box, tmp_path, run_of):
     with pytest.raises(SarsplatError, match="by the method 'magic'; give one by sar-gs, "):
         Run.load(tmp_path / "run")
     assert command(["reconstruct", str(small_box.path), "--out", str(tmp_path / "run"), "--resume"]) == 2
-    with pytest.raises(SarsplatError, match="there is no method 'magic'; choose one of sar-gs, "):
-        reconstruct(small_box, method="magic")
 
 
 @pytest.mark.parametrize(
     ("name", "change"),
     [
         ("optimiser/0/exp_avg", None),
-        ("optimiser/0/exp_avg", lambda tensor: tensor[:1]),
-        ("optimiser/0/exp_avg", lambda tensor: tensor.bool()),
         ("optimiser/0/exp_avg_sq", lambda tensor: tensor * torch.nan),
         ("optimiser/0/step", lambda tensor: -tensor),
-        ("model/moved", lambda tensor: tensor * torch.nan),
         ("model/moved", lambda tensor: tensor.double()),
         ("scene/looks", lambda tensor: tensor - 1),
         ("scene/low_m", None),
-        ("model/moved", None),
         ("scene/masks", lambda tensor: tensor.float()),
     ],
 )
@@ -213,25 +207,6 @@ def test_what_the_surface_is_made_of_is_kept(tmp_path, run_of):
     np.testing.assert_allclose(before, anew.mesh().vertices, atol=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (
-            {"preset": BASELINES["dsr"].defaults},
-            "the settings are a DsrConfig; sar-nerf-grid takes a SarNerfGridConfig",
-        ),
-        ({"masks": "masks"}, "sar-nerf-grid uses no masks; omit 'masks', or choose a method that does"),
-        ({"preset": "paper"}, "sar-nerf-grid has no presets, so 'paper' is unknown"),
-        ({"loss": len}, "sar-nerf-grid uses no loss; omit "),
-        ({"strategies": [1]}, r"sar-nerf-grid uses no strategies; omit \(1,\)"),
-        ({"out": "run", "resume": False, "overwrite": True, "device": "gpu"}, "device 'gpu' is unknown"),
-    ],
-)
-def test_arguments_that_do_not_fit_are_refused(arguments, message, small_box):
-    with pytest.raises(SarsplatError, match=message):
-        reconstruct(small_box, method="sar-nerf-grid", quiet=True, **arguments)
-
-
 def test_the_command_line_trains_and_goes_on(small_box, tmp_path, capsys):
     out = str(tmp_path / "run")
     words = ["reconstruct", str(small_box.path), "--out", out]
@@ -249,26 +224,6 @@ def test_the_command_line_trains_and_goes_on(small_box, tmp_path, capsys):
     assert "learns no Gaussians; " in " ".join(capsys.readouterr().err.split())
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--method", "dsr", "--gaussians", "100"], "--gaussians is not a setting of dsr; see its settings"),
-        (["--method", "sar-nerf", "--rates.means", "0.1"], "--rates.means is not a setting of sar-nerf; "),
-        (["--method", "dsr"], "give their folder"),
-        (["--masks", "masks"], "sar-gs uses no masks; omit 'masks'"),
-        (["--method", "magic"], "magic"),
-        (["--method", "dsr", "--masks", "nowhere"], "nowhere is not a folder; give one that holds a mask for each"),
-        (["--method", "sar-nerf", "--masks", "masks"], "sar-nerf uses no masks; omit 'masks'"),
-        (["--method", "dsr", "--preset", "paper"], "dsr has no presets, so 'paper' is unknown"),
-        (["--method", "dsr", "--view"], "--view cannot show a training by dsr; omit it"),
-    ],
-)
-def test_options_that_do_not_fit_are_refused(options, message, small_box, tmp_path, capsys):
-    assert command(["reconstruct", str(small_box.path), "--out", str(tmp_path / "run"), *options]) == 2
-    assert message in " ".join(capsys.readouterr().err.split())
-    assert not (tmp_path / "run").exists()
-
-
 def test_settings_come_from_a_file(small_box, tmp_path, capsys):
     words = ["reconstruct", str(small_box.path), "--method", "sar-nerf-grid", "--out", str(tmp_path / "run")]
     assert command([*words, "--print-config"]) == 0
@@ -279,13 +234,8 @@ def test_settings_come_from_a_file(small_box, tmp_path, capsys):
     assert command([*words, "--config", str(file), "--iterations", "3"]) == 0
     config = Run.load(tmp_path / "run").config
     assert (config.as_dict()["degree"], config.iterations) == (1, 3)
-    file.write_text(json.dumps({**written, "config": {**settings, "degree": 9}}))
-    assert command([*words, "--config", str(file), "--overwrite"]) == 2
-    assert "degree" in capsys.readouterr().err
     for other in ([], ["--method", "dsr"]):
         given = ["reconstruct", str(small_box.path), "--out", str(tmp_path / "other"), "--config", str(file), *other]
         assert command(given) == 2
-        said = " ".join(capsys.readouterr().err.split())
-        assert (
-            f"holds settings of 'sar-nerf-grid', not of {'dsr' if other else 'sar-gs'}; give that as --method" in said
-        )
+        wrong = f"holds settings of 'sar-nerf-grid', not of {'dsr' if other else 'sar-gs'}; give that as --method"
+        assert wrong in " ".join(capsys.readouterr().err.split())

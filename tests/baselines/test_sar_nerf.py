@@ -9,11 +9,9 @@ import pytest
 import torch
 
 from sarsplat.baselines.baseline import Scene
-from sarsplat.baselines.fields import Field, encoded, isosurface, level_of_half
+from sarsplat.baselines.fields import Field, Rays, encoded, isosurface, level_of_half
 from sarsplat.baselines.method_sar_nerf import SarNerf, SarNerfConfig, scene_boxes
 from sarsplat.baselines.method_sar_nerf_grid import SarNerfGrid, SarNerfGridConfig
-from sarsplat.baselines.rays import Rays
-from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View, radar_frame
 
 GRID = ImageGrid(24, 18, (0.3, 0.25), (0.3, 0.3), (0.1, -0.2))  # neither square nor centred
@@ -97,13 +95,6 @@ def test_a_uniform_slab_in_metres():
     assert baseline.image(view).sum().item() * 0.25 == pytest.approx(
         8 * gamma0 * 1.3 * -math.expm1(-2 * alpha * 2.0), rel=1e-5
     )
-
-
-@pytest.mark.parametrize("mode", ["published", "sound"])
-def test_an_empty_field_returns_nothing(mode):
-    """Sound: what absorbs nothing returns nothing. Published: only what scatters nothing."""
-    attenuation, scattering = (constant(-1e3), constant(3.0)) if mode == "sound" else (constant(-1.0), constant(-1e3))
-    assert baseline_of(attenuation, scattering, mode).image(VIEW).max() == 0
 
 
 def spot(at, radius=0.3):
@@ -292,28 +283,6 @@ def test_over_ground_no_pixel_is_without_rays():
     baseline = baseline_of(constant(0.0), constant(0.0), "sound", what, rays=2)
     noise = baseline.log_noise.exp().item()
     assert baseline.image(what.views[0]).min() > noise * 1.01
-
-
-def test_a_box_that_no_image_shows_is_refused():
-    above = np.array([0.0, 0.0, 50.0])
-    baseline = model(scene(low=LOW + above, high=HIGH + above), config())
-    assert baseline.image(VIEW).max() == 0
-    with pytest.raises(SarsplatError, match="appears in none of the 1 training images; give the box"):
-        baseline.loss(torch.tensor([0]), torch.zeros(1, GRID.rows, GRID.columns), torch.Generator())
-
-
-@pytest.mark.parametrize(
-    ("fields", "message"),
-    [({"high_m": LOW}, "is empty or not finite"), ({"low_m": np.array([np.nan, 0, 0])}, "is empty or not finite")],
-)
-def test_a_scene_that_is_none_is_refused(fields, message):
-    with pytest.raises(SarsplatError, match=message):
-        replace(scene(), **fields)
-
-
-def test_a_grid_too_large_is_refused():
-    with pytest.raises(SarsplatError, match="give a larger voxel"):
-        model(scene(), config(voxel=1e-3))
 
 
 def test_speckle_alone_is_smoothed_and_the_less_the_more_is_measured():

@@ -1,12 +1,12 @@
-"""Soft coverage of pixels by triangles against closed forms and finite differences."""
+"""Soft coverage of pixels by triangles against closed forms and finite differences; closed template meshes."""
 
 import numpy as np
 import pytest
 import torch
 
 from sarsplat.baselines import soft_raster
+from sarsplat.baselines.meshes import cube_sphere, icosphere
 from sarsplat.baselines.soft_raster import Lattice, soft_coverage
-from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid
 
 LATTICE = Lattice.of(ImageGrid(12, 9, (0.5, 0.25), (1.0, 1.0), (0.3, -0.2)))
@@ -84,15 +84,26 @@ def test_gradients_are_those_of_finite_differences():
     assert torch.autograd.gradcheck(scalar, TRIANGLES.clone().requires_grad_(), eps=1e-7, atol=1e-5, rtol=1e-4)
 
 
-@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
-def test_corners_that_are_not_finite_are_refused(bad):
-    corners = TRIANGLES.clone()
-    corners[1, 2, 0] = bad
-    with pytest.raises(SarsplatError, match="a vertex of the mesh is not finite"):
-        soft_coverage(corners, LATTICE, 0.3)
+@pytest.mark.parametrize(("template", "vertices", "faces"), [(icosphere(8), 642, 1280), (cube_sphere(15), 1352, 2700)])
+def test_the_published_numbers_of_vertices_and_faces_of_similar_size(template, vertices, faces):
+    assert template.vertices.shape == (vertices, 3)
+    assert template.faces.shape == (faces, 3)
+    assert len(template.edges) == len(template.flaps) == faces * 3 // 2
+    a, b, c = template.vertices[template.faces].transpose(1, 0, 2)
+    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    assert areas.max() < 2 * areas.min()
+    assert areas.sum() == pytest.approx(4 * np.pi, rel=0.01)
 
 
-def test_too_many_pairs_are_refused(monkeypatch):
-    monkeypatch.setattr(soft_raster, "_MOST_PAIRS", 100)
-    with pytest.raises(SarsplatError, match="more than 1e"):
-        soft_coverage(TRIANGLES, LATTICE, 0.3)
+@pytest.mark.parametrize("template", [icosphere(1), icosphere(3), cube_sphere(1), cube_sphere(4), cube_sphere(15)])
+def test_they_are_closed_and_turned_outwards(template):
+    np.testing.assert_allclose(np.linalg.norm(template.vertices, axis=1), 1)
+    assert len(template.vertices) - len(template.edges) + len(template.faces) == 2
+    a, b, c = template.vertices[template.faces].transpose(1, 0, 2)
+    assert ((np.cross(b - a, c - a) * a).sum(axis=1) > 0).all()
+    directed = {(int(face[k]), int(face[(k + 1) % 3])) for face in template.faces for k in range(3)}
+    assert len(directed) == 3 * len(template.faces)  # neighbours go along their edge in opposite directions
+    assert {(b, a) for a, b in directed} == directed
+    for edge, flap in zip(template.edges, template.flaps, strict=True):
+        shared = set(template.faces[flap[0]].tolist()) & set(template.faces[flap[1]].tolist())
+        assert shared == set(edge.tolist())

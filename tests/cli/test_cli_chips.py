@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from sample_runs import GRID, made_up
+from made_runs import GRID, made_up
 from sarsplat.cli import main
 from sarsplat.errors import SarsplatError
 from sarsplat.importers.pictures import read_pixels

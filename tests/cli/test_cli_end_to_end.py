@@ -17,8 +17,8 @@ import pytest
 import torch
 from PIL import Image
 
-from datasets import FEW_POINTS
-from elsewhere import elsewhere
+from made import FEW_POINTS, upright
+from programs import elsewhere
 from sarsplat import scenes, write_gaussians_ply
 from sarsplat.cli import main
 from sarsplat.data import read_gaussians_ply, read_points_ply
@@ -28,7 +28,6 @@ from sarsplat.learning import Trainer
 from sarsplat.runs import Run, own_gaussians
 from sarsplat.settings import Config
 from sarsplat.surface import first_returns, normals, visibility
-from upright import upright
 
 
 @pytest.fixture

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from made import write_geotiff
 from sarsplat import extras
 from sarsplat.cli import main
-from terrains import write_geotiff
 
 SIMULATE, ONE_VIEW = "simulate --out new --target t72", "--azimuth 0 --grazing 45"
 

@@ -7,12 +7,11 @@ import pytest
 import tifffile
 import torch
 
-from datasets import dataset_of
+from made import dataset_of, upright
 from sarsplat.cli import main
 from sarsplat.data import read_points_ply, write_dataset, write_gaussians_ply
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, View
-from upright import upright
 
 COUNT = 60
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from datasets import dataset_of
+from made import dataset_of
 from sarsplat.cli import main
 from sarsplat.cli.info_dataset import PLAIN, PRETTY, sky_chart, symbols_for
 from sarsplat.data import Dataset, SarImage, read_dataset, write_dataset

@@ -115,7 +115,7 @@ def test_other_pixels_show_the_same_power(run: Path) -> None:
         ("--sweep azimuth --azimuth 5 5 --out r.gif", "begins and ends at 5°"),
         ("--sweep azimuth --grazing 30 --incidence 60 --out r.gif", "both --grazing and --incidence were given"),
         ("--sweep azimuth --seconds 0 --out r.gif", "cannot take 0 s"),
-        ("--sweep azimuth --seconds 0.5 --out r.gif", "are more than 50 a second"),
+        ("--sweep azimuth --seconds 0.5 --out r.gif", "at most 50 frames a second"),
         ("--sweep azimuth --cmap plaid --out r.gif", "there is no colour map 'plaid'"),
         ("--sweep azimuth --range 0 --out r.gif", "a range of 0.0 dB cannot be shown"),
         ("--azimuth 0 --grazing 45 --pixels 0 20 --out r", "is empty"),

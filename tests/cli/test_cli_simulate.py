@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from datasets import FEW_POINTS
+from made import FEW_POINTS, terrain, write_geotiff
 from sarsplat import Run, preset, reconstruct
 from sarsplat.cli import main
 from sarsplat.cli.arguments import angles, views_from
@@ -22,7 +22,6 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
 from sarsplat.geometry.responses import GAUSSIAN, TAYLOR
 from sarsplat.scenes import paper_views
-from terrains import terrain, write_geotiff
 
 PAPER_TEST = [(view, split) for view, split in paper_views() if split == "test"]
 

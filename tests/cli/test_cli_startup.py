@@ -9,11 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from datasets import SMALL, small_dataset
+from made import SMALL, small_dataset, upright
 from programs import python
 from sarsplat import Run, View
 from sarsplat.data import write_dataset
-from upright import upright
 
 COMMANDS = """
 import contextlib, io, json, sys, time

@@ -13,11 +13,10 @@ from pathlib import Path
 import pytest
 import torch
 
-from datasets import small_dataset
+from made import small_dataset, upright
 from sarsplat import SarsplatError, write_gaussians_ply
 from sarsplat.cli import main
 from sarsplat.data import write_dataset
-from upright import upright
 
 pytest.importorskip("viser")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from datasets import dataset_of
+from made import dataset_of
 from sarsplat.data import Dataset
 from sarsplat.data.coverage import even_azimuths, largest_gap, nearest_to, view_groups
 from sarsplat.geometry import ImageGrid, View

@@ -15,7 +15,7 @@ import tifffile
 import torch
 from PIL import Image
 
-from datasets import NOISE, SIGNALS, TINY, VIEWS, small_dataset, small_mask, tiny_dataset
+from made import NOISE, SIGNALS, TINY, VIEWS, hill, small_dataset, small_mask, tiny_dataset, upright, write_geotiff
 from refusals import Do, Refusals, check_refused, stored
 from sarsplat import Terrain, Turn, read_terrain
 from sarsplat.data import (
@@ -36,8 +36,6 @@ from sarsplat.data.csv_table import CsvTable, read_table, relative_path
 from sarsplat.data.files import write_bytes
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, View
-from terrains import hill, write_geotiff
-from upright import upright
 
 # ---- files, checkpoints, tables ----
 

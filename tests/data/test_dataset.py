@@ -12,7 +12,7 @@ import pytest
 import tifffile
 
 from chip_files import phoenix_bytes
-from datasets import NOISE, SIGNALS, TINY, VIEWS, tiny_dataset
+from made import NOISE, SIGNALS, TINY, VIEWS, tiny_dataset
 from sarsplat.data import Dataset, SarImage, read_dataset, read_tiff, write_dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, Turn

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from elsewhere import elsewhere
+from programs import elsewhere
 from sarsplat.data.files import locked, read_json, refuse_unwritable, write_bytes, write_json
 from sarsplat.errors import SarsplatError
 

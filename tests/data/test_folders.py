@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from elsewhere import elsewhere
+from programs import elsewhere
 from sarsplat.data.folders import new_folder, only_writer
 from sarsplat.errors import SarsplatError
 

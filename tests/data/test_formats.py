@@ -14,7 +14,7 @@ import jsonschema
 import numpy as np
 import pytest
 
-from datasets import SIGNALS, tiny_dataset
+from made import SIGNALS, tiny_dataset
 from sarsplat.data import read_dataset, write_dataset
 from sarsplat.errors import SarsplatError
 

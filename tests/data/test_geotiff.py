@@ -11,13 +11,12 @@ import numpy as np
 import pytest
 import tifffile
 
-from datasets import small_dataset
+from made import hill, small_dataset, write_geotiff
 from sarsplat import Place, SarsplatError, SarsplatWarning, Terrain, View, read_terrain, write_terrain
 from sarsplat.data import Dataset, read_dataset, write_dataset
 from sarsplat.data.terrain_file import read_heights
 from sarsplat.examination.plausible import suspicions
 from sarsplat.importers import MeasuredImage, dataset_of
-from terrains import hill, write_geotiff
 
 HEIGHTS = np.arange(12.0).reshape(3, 4)
 

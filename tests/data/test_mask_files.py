@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import small_dataset, small_mask
+from made import small_dataset, small_mask
 from sarsplat.data import Dataset, DatasetEntry, read_dataset, read_masks, write_dataset
 from sarsplat.errors import SarsplatError
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import uniform_filter
 
-from datasets import dataset_of
+from made import dataset_of
 from sarsplat.evaluation import (
     baseline_scores,
     log_correlation,

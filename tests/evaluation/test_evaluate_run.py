@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datasets import dataset_of
-from elsewhere import elsewhere
+from made import dataset_of
+from programs import elsewhere
 from sarsplat.data import Dataset, write_dataset
 from sarsplat.data.folders import only_writer
 from sarsplat.errors import SarsplatError, SarsplatWarning

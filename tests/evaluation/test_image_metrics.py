@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from datasets import small_dataset, small_mask
+from made import small_dataset, small_mask
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation import (
     MaskPair,

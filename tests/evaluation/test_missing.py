@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from datasets import FEW_POINTS, dataset_of
+from made import FEW_POINTS, dataset_of
 from sarsplat import Gaussians, Harmonics, ImageGrid, Run, View, render
 from sarsplat.evaluation.left_open import _middles, missing
 from sarsplat.runs.run_folder import left_open

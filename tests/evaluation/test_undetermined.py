@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from datasets import FEW_POINTS, dataset_of
+from made import FEW_POINTS, dataset_of
 from sarsplat import Gaussians, Harmonics, ImageGrid, Run, View, render
 from sarsplat.evaluation.images import UndefinedScore
 from sarsplat.evaluation.left_open import places, undetermined

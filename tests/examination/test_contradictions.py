@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datasets import dataset_of
-from lorries import lorry
+from made import dataset_of, lorry
 from sarsplat import ScatteringLaw, add_speckle, simulate_raycast
 from sarsplat.cli import main
 from sarsplat.data import Dataset, write_dataset

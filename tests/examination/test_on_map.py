@@ -13,9 +13,8 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from test_contradictions import with_views
 
-from datasets import dataset_of
 from geocoded import on_map
-from lorries import lorry
+from made import dataset_of, lorry
 from sarsplat import ScatteringLaw, add_speckle, import_folder, import_mstar, simulate_raycast
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatWarning

@@ -12,7 +12,7 @@ import warnings
 import numpy as np
 import pytest
 
-from datasets import dataset_of
+from made import dataset_of
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatWarning
 from sarsplat.examination.plausible import suspicions, suspicious_angles, warn, weak_directions, weakest_direction

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from datasets import dataset_of
+from made import dataset_of
 from sarsplat.data import Dataset
 from sarsplat.examination.outcome import Examination
 from sarsplat.examination.single_values import examine_single_values

@@ -9,7 +9,7 @@ import pytest
 import torch
 import trimesh
 
-from datasets import FEW_POINTS
+from made import FEW_POINTS
 from sarsplat import Dataset, Place, View
 from sarsplat.data import read_gaussians_ply
 from sarsplat.errors import SarsplatError

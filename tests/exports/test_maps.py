@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from datasets import FEW_POINTS
+from made import FEW_POINTS, upright
 from sarsplat import Dataset, Place, Run, SarsplatError, View
 from sarsplat.cli import main
 from sarsplat.data.geotiff import Raster, write_raster
@@ -21,7 +21,6 @@ from sarsplat.exports import export, export_terrain, format_of
 from sarsplat.runs import reconstruct
 from sarsplat.settings import preset
 from sarsplat.settings.sections import FlatGround
-from upright import upright
 
 rasterio = pytest.importorskip("rasterio")
 CRS = pytest.importorskip("pyproj").CRS

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from made import upright
 from sarsplat import Place, Run, SarsplatError, SarsplatWarning, View, write_gaussians_ply
 from sarsplat.cli import main
 from sarsplat.exports import export
 from sarsplat.exports.format_geojson import rings_of
 from sarsplat.exports.georeference import MapSystem, usual_system, write_place
-from upright import upright
 
 PLACES = {
     "north": (Place(45.29, 7.5, 312.0, 90.0), "EPSG:32632"),

@@ -20,12 +20,12 @@ import sarkit.sicd
 import sarkit.wgs84
 from sarkit.sicd import projection
 
+from made import upright
 from sarsplat import Dataset, Run, SarsplatWarning, View, preset, reconstruct
 from sarsplat.exports import export
 from sarsplat.importers import import_sicd
 from sarsplat.importers.sicd_file import read_sicd
 from sicds import SPOT, Recording, Track, axes, ecef, write_sicd
-from upright import upright
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*_text is deprecated:DeprecationWarning")  # sarkit reads its schemas
 

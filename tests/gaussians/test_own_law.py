@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from datasets import FEW_POINTS
+from made import FEW_POINTS
 from sarsplat import Run, preset, reconstruct
 from sarsplat.data import Dataset, read_gaussians_ply, write_gaussians_ply
 from sarsplat.errors import SarsplatError
@@ -196,7 +196,7 @@ def test_a_law_that_starts_with_something_else_is_refused(small_box: Dataset, mo
 
 
 def test_the_command_line_knows_the_law_of_a_package(small_box: Dataset, tmp_path: Path, beside) -> None:
-    text = inspect.getsource(sys.modules[__name__]).partition("@pytest.fixture")[0].replace("from datasets", "# ")
+    text = inspect.getsource(sys.modules[__name__]).partition("@pytest.fixture")[0].replace("from made", "# ")
     site = tmp_path / "site"
     (site / "fans-1.0.dist-info").mkdir(parents=True)
     (site / "fans.py").write_text(text.replace("import pytest", ""))

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from datasets import tiny_dataset
+from made import tiny_dataset
 from sarsplat import Place, SarsplatError, View, read_dataset, write_dataset
 
 PLACES = [

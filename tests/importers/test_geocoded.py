@@ -9,6 +9,7 @@ import pytest
 import tifffile
 
 from geocoded import UTM_33N, on_map, write_map, write_maps
+from made import terrain
 from sarsplat.cli import main
 from sarsplat.data import Dataset, read_dataset, read_terrain, write_terrain
 from sarsplat.data.geotiff import Georeference
@@ -16,7 +17,6 @@ from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.importers import import_folder
 from sarsplat.importers.geocoded import on_ground
-from terrains import terrain
 
 RESOLUTION = (0.5, 0.45)
 GRID = ImageGrid(150, 150, (0.2, 0.2), RESOLUTION)

@@ -9,9 +9,9 @@ import pytest
 from PIL import Image
 
 from chip_files import MAGNITUDE, ROWS, phoenix_bytes, write_chips
+from made import write_sample
 from pulses import circle, record
 from pulses import write as write_pulses
-from sample_files import write_sample
 from sarsplat.cli import main
 from sarsplat.cli.importers import Recognised, recognised
 from sarsplat.errors import SarsplatError

@@ -13,6 +13,7 @@ import scipy.io
 from PIL import Image
 
 from chip_files import COLUMNS, MAGNITUDE, ROWS, phoenix_bytes, write_chips, write_originals
+from made import write_sample
 from made_imports import (
     NOISY,
     POWER,
@@ -27,7 +28,6 @@ from made_imports import (
 )
 from pulses import FREQUENCIES, circle, record, write
 from refusals import Do, Refusals, check_refused
-from sample_files import write_sample
 from sarsplat.geometry import View
 from sarsplat.importers import MeasuredImage, dataset_of, import_phase_history, import_sample, read_phoenix
 from sarsplat.importers.pictures import likely_quantity, power_or_signal, read_pixels

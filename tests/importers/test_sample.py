@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sample_files import write_sample
+from made import write_sample
 from sarsplat.cli import main
 from sarsplat.data import read_dataset
 from sarsplat.errors import SarsplatWarning

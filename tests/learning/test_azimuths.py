@@ -12,13 +12,13 @@ import pytest
 import torch
 from jaxtyping import Float64
 
-from datasets import FEW_POINTS, dataset_of
+from made import FEW_POINTS, dataset_of
+from made_runs import assert_same
 from sarsplat import Dataset, ImageGrid, Run, View, preset, reconstruct, simulate_images
 from sarsplat.data import load_checkpoint, save_checkpoint
 from sarsplat.errors import SarsplatError
 from sarsplat.learning.strategies.azimuths import AZIMUTH_OFFSETS, AzimuthRefinement, lowest
 from sarsplat.settings.sections import Surroundings
-from trainings import assert_same
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("embreex")

@@ -7,7 +7,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from datasets import box_dataset
+from made import box_dataset
+from made_runs import assert_same, trained
 from sarsplat import Config, Dataset, ImageGrid, preset
 from sarsplat.geometry import RayGrid
 from sarsplat.learning import Trainer, batching
@@ -15,7 +16,6 @@ from sarsplat.learning.batching import in_groups
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.learning.strategies import Info
 from sarsplat.settings.sections import Densification
-from trainings import assert_same, trained
 
 GRID = ImageGrid(24, 24, (0.3, 0.3), (0.4, 0.4))
 

@@ -6,8 +6,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from datasets import small_dataset
-from sample_runs import made_up
+from made import small_dataset
+from made_runs import made_up
 from sarsplat import Run, preset, reconstruct
 from sarsplat.learning.parts.target import dropped
 from sarsplat.runs.methods import method_named

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from datasets import dataset_of
+from made import dataset_of
 from sarsplat import Dataset, ImageGrid, View, reconstruct
 from sarsplat.learning import evidence
 from sarsplat.learning.evidence import chosen, differences

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import torch
 
-from datasets import FEW_POINTS, dataset_of
+from made import FEW_POINTS, dataset_of, hill, upright
+from made_runs import assert_same, trained
 from sarsplat import Dataset, Ground, Run, preset, reconstruct
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import NormalLobes
@@ -24,9 +25,6 @@ from sarsplat.renderer import GroundBounce, render
 from sarsplat.report.page import _run_facts
 from sarsplat.settings.sections import Bounce, FlatGround
 from sarsplat.viewer.subject import training_subject
-from terrains import hill
-from trainings import assert_same, trained
-from upright import upright
 
 GRID = ImageGrid(36, 36, (0.3, 0.3), (0.3, 0.3))
 VIEWS = [View(45.0 * k + 10.0, (20.0, 40.0, 60.0)[k % 3]) for k in range(8)]

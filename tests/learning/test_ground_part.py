@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 import torch
 
-from datasets import dataset_of
+from made import dataset_of, upright
+from made_runs import trained
 from sarsplat import Dataset, Ground, Trainer, preset, reconstruct
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, Terrain, View
 from sarsplat.renderer import render
 from sarsplat.settings.sections import FlatGround
-from trainings import trained
-from upright import upright
 
 GRID = ImageGrid(48, 48, (0.3, 0.3), (0.3, 0.3))
 SHORT = replace(preset("default"), iterations=150, gaussians=150, ground=FlatGround())

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from datasets import dataset_of
+from made import dataset_of
 from sarsplat import Dataset, NormalLobes, Run, SarsplatError, ScatteringLaw, View, reconstruct, simulate_raycast
 from sarsplat.gaussians import SCATTERINGS, register_scattering
 from sarsplat.learning import Trainer

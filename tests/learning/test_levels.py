@@ -7,7 +7,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from datasets import dataset_of
+from made import dataset_of, upright
+from made_runs import assert_same, trained
 from sarsplat import Dataset, Gaussians, ImageGrid, View, preset
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import NormalLobes
@@ -21,8 +22,6 @@ from sarsplat.learning.strategies.growth import holding
 from sarsplat.learning.training_images import TrainingImages
 from sarsplat.renderer import render
 from sarsplat.settings import Config
-from trainings import assert_same, trained
-from upright import upright
 
 GRID = ImageGrid(90, 91, (0.5, 0.5), (0.6, 0.5))
 VIEWS = [View(azimuth, grazing) for azimuth, grazing in ((0, 35), (90, 50), (180, 35), (270, 50))]

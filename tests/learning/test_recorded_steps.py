@@ -17,7 +17,8 @@ from emulated_cuda import Emulator
 from emulated_recorder import EmulatedRecorder
 from torch import Tensor
 
-from datasets import box_dataset
+from made import box_dataset, hill
+from made_runs import assert_same
 from sarsplat import Dataset, ImageGrid, preset
 from sarsplat.errors import SarsplatWarning
 from sarsplat.learning import Trainer, scene_frame
@@ -26,8 +27,6 @@ from sarsplat.learning.strategies.growth import Relocating
 from sarsplat.renderer.engines import bounds, choice, cuda, cuda_device, on_device
 from sarsplat.settings import Config
 from sarsplat.settings.sections import Bounce, Densification, FlatGround, Relocation, Smoothing, Surroundings
-from terrains import hill
-from trainings import assert_same
 
 STEPS = 20
 SELDOM = Surroundings(texture_rounds=2, azimuth_rounds=2)

@@ -12,7 +12,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from datasets import small_dataset
+from made import small_dataset, upright
+from made_runs import assert_same, trained
 from sarsplat import Dataset, Gaussians, ImageGrid, SarsplatError, preset, reconstruct
 from sarsplat.learning import Trainer
 from sarsplat.learning.optimiser import Optimiser
@@ -26,8 +27,6 @@ from sarsplat.learning.strategies.smoothing import Smoothed
 from sarsplat.learning.strategies.texture import TextureEstimation
 from sarsplat.learning.strategies.turns import TurnRefinement
 from sarsplat.settings.sections import Densification, Relocation, Smoothing, Surroundings, Turns
-from trainings import assert_same, trained
-from upright import upright
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "own_strategy.py"
 CONFIG = replace(

@@ -15,13 +15,13 @@ import pytest
 import torch
 from train_once import config
 
-from datasets import dataset_of
+from made import dataset_of
+from made_runs import trained
 from sarsplat import Dataset, ImageGrid, Run, ScatteringLaw, View, preset, simulate_raycast
 from sarsplat.data import load_checkpoint, write_dataset
 from sarsplat.learning import Trainer
 from sarsplat.learning.model import SceneModel
 from sarsplat.learning.strategies.density import DensityControl
-from trainings import trained
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("embreex")

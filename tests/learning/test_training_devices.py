@@ -16,6 +16,7 @@ from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
+from made_runs import trained
 from sarsplat import Dataset, ImageGrid, Run, View, preset, reconstruct
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
@@ -28,7 +29,6 @@ from sarsplat.runs import Step
 from sarsplat.settings import Config
 from sarsplat.settings.sections import Densification, Relocation
 from sarsplat.surface import cells, extract_points, first_returns
-from trainings import trained
 
 DENSITY = Densification(
     start=4, stop=100, every=4, gradient=1e-4, split_above=0.16, max_extent=0.3, min_scattering=0.01, max_gaussians=300

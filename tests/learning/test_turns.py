@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import torch
 
-from datasets import FEW_POINTS
+from made import FEW_POINTS
+from made_runs import assert_same
 from sarsplat import Dataset, ImageGrid, Run, SarImage, Turn, View, preset, reconstruct, simulate_images
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry.turn import turned
 from sarsplat.learning.strategies.turns import TURN_CORRECTIONS, TurnRefinement, corrected_views, uncertain_passes
 from sarsplat.settings.sections import Turns
-from trainings import assert_same
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("embreex")

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 
+from made import upright
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
 from sarsplat.radar import RadarMaps, Surface, radar_maps, surface_of_mesh
 from sarsplat.radar.maps import _unexplained
-from upright import upright
 
 trimesh = pytest.importorskip("trimesh")
 

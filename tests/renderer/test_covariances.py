@@ -8,10 +8,10 @@ import pytest
 import torch
 from compared import check_agreement, check_gradients, differentiated
 
+from made import upright
 from sarsplat import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, Stack, View, radar_frame
 from sarsplat.renderer import render, render_covariances
-from upright import upright
 
 WAVELENGTH, VIEW = 0.031, View(20.0, 45.0)
 

@@ -3,12 +3,12 @@
 import pytest
 import torch
 
+from made import upright
 from sarsplat.cli import main
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.renderer import render
 from sarsplat.renderer.engines import cpu
-from upright import upright
 
 GAUSSIANS = upright([1.0, 1.0, 1.0])
 VIEWS = [View(azimuth, 40.0) for azimuth in range(0, 360, 15)]

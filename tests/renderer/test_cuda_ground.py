@@ -11,6 +11,7 @@ import torch
 from emulated_cuda import SCHEDULES, Emulator, guarded, without_barrier
 from torch import Tensor
 
+from made import hill
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.echoes.echo import RayEnds
 from sarsplat.renderer.echoes.lit_ground import lit_ground
@@ -18,7 +19,6 @@ from sarsplat.renderer.echoes.lit_terrain import lit_terrain
 from sarsplat.renderer.engines import cuda
 from sarsplat.renderer.engines.on_device import ChosenViews
 from sarsplat.renderer.engines.passes import NewPass
-from terrains import hill
 
 GRID = ImageGrid(37, 41, (0.3, 0.25), (0.45, 0.4))
 VIEWS = (View(0.0, 5.0), View(75.0, 35.0), View(140.0, 60.0), View(200.0, 88.0))

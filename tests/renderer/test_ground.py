@@ -8,6 +8,7 @@ import pytest
 import torch
 from named_scenes import GRID, VIEWS, cloud
 
+from made import slope
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
@@ -18,7 +19,6 @@ from sarsplat.renderer.echoes.ground import free_plane
 from sarsplat.renderer.echoes.lit_ground import lit_ground
 from sarsplat.renderer.engines import cpu
 from sarsplat.renderer.engines.choice import passes_for
-from terrains import slope
 
 WIDE = ImageGrid(48, 40, (0.3, 0.25), (0.45, 0.4))
 

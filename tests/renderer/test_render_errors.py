@@ -11,13 +11,13 @@ from emulated_cuda import Emulator, render_on
 from named_scenes import GRID, VIEWS, changed, cloud
 from torch import Tensor
 
+from made import terrain
 from refusals import Do, Refusals, check_refused
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import MIN_SCALE, Gaussians
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.renderer import Bounds, GroundBounce, render
-from terrains import terrain
 
 TEN = cloud(10, 0)
 NAN, INF = float("nan"), float("inf")

@@ -9,12 +9,12 @@ import pytest
 import torch
 from named_scenes import GRID, MATRIX, VIEWS, cloud, wall
 
+from made import hill, slope, terrain
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.renderer import render
 from sarsplat.renderer.echoes import lit_terrain
-from terrains import hill, slope, terrain
 
 WIDE = ImageGrid(60, 24, (0.3, 0.1), (0.45, 0.16))
 DTYPES = {"cpu": torch.float32, "reference": torch.float64}

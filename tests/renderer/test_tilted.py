@@ -9,6 +9,7 @@ import torch
 import trimesh
 from named_scenes import GRID, UNUSUAL, cloud
 
+from made import slope
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, View
@@ -16,7 +17,6 @@ from sarsplat.renderer import render
 from sarsplat.renderer.echoes import GroundEcho
 from sarsplat.scenes import ScatteringLaw, simulate_raycast
 from sarsplat.scenes.simulate import simulate_images
-from terrains import slope
 
 PLANE = GroundEcho(Ground(torch.tensor(0.2), height_m=-0.3))
 

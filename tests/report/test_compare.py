@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 from chromium import chromium
-from reports import MadeUpRun, make_dataset, make_metrics, make_run
+from made_runs import MadeUpRun, make_dataset, make_metrics, make_run
 from sarsplat.errors import SarsplatError
 from sarsplat.report import compare, write_comparison
-from sarsplat.report.page import compared_tables, in_words
+from sarsplat.report.page import compared_tables
 from sarsplat.runs.run_folder import TrainingState
 
 
@@ -80,10 +80,6 @@ def test_the_page_shows_the_same_views_of_every_run(tmp_path: Path) -> None:
     with pytest.raises(SarsplatError, match="already exists"):
         write_comparison(comparison, tmp_path / "page")
     write_comparison(comparison, tmp_path / "page", overwrite=True)
-
-
-def test_names_are_listed_in_words() -> None:
-    assert [in_words(names) for names in ("a", "ab", "abc")] == ["a", "a and b", "a, b and c"]
 
 
 def test_other_surfaces_and_unfinished_trainings_are_said(tmp_path: Path) -> None:

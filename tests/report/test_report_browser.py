@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from chromium import Page, chromium
-from reports import make_dataset, make_metrics, make_run
+from made_runs import make_dataset, make_metrics, make_run
 from sarsplat.geometry import View
 from sarsplat.report import write_report
 
@@ -148,14 +148,6 @@ def test_keys_turn_it_and_the_range_darkens_it(tab: Page, report: str) -> None:
     tab.value("document.getElementById('depth').value = 12; depth.dispatchEvent(new Event('input'))")
     tab.until(f"document.getElementById('sar-rendered').toDataURL() !== {before!r}")
     assert tab.value("document.querySelector('#power-bar .tick').textContent") == "−12"
-
-
-def test_a_score_explains_itself_by_keyboard(tab: Page, report: str) -> None:
-    tab.open(report)
-    tab.value("document.querySelector('.card summary').focus()")
-    assert not tab.value("document.querySelector('.card details').open")
-    tab.value("document.activeElement.click()")
-    assert "to fit its truth best" in tab.value("document.querySelector('.card details p').innerText")
 
 
 @pytest.mark.parametrize("width", [390, 1400])

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from datasets import dataset_of
-from reports import METRICS, POINT_KEYS, make_dataset, make_metrics, make_run
+from made import dataset_of
+from made_runs import METRICS, POINT_KEYS, make_dataset, make_metrics, make_run
 from sarsplat.data import write_dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation import Alignment, Scores
@@ -229,6 +229,6 @@ def test_a_report_does_not_move_the_mesh_of_its_run(tmp_path: Path, monkeypatch:
     monkeypatch.setattr(write, "_truth", lambda _: (None, Alignment((5.0, 0.0, 0.0), 0.0)))
     shown = []
     monkeypatch.setattr(write, "mesh_boards", lambda mesh, _: shown.append(mesh.bounds.mean(axis=0)) or ())
-    assert len(write._mesh(run)) == 1
+    assert write._mesh(run) is not None
     np.testing.assert_allclose(shown, [[5, 0, 0]], atol=1e-9)
     np.testing.assert_allclose(box.bounds.mean(axis=0), 0, atol=1e-9)

@@ -10,18 +10,16 @@ import pytest
 import tifffile
 from PIL import Image
 
-from datasets import dataset_of
+from made import dataset_of
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.report import Look, contact_sheet, decibel_png, sheet
-from sarsplat.report.animation import frame
 from sarsplat.report.boards import SIDES, Raster, point_boards
 from sarsplat.report.check_sheet import check_sheet
 from sarsplat.report.curves import curves_figure
 from sarsplat.report.figure import axis, nice, scale_bar
-from sarsplat.report.images import target_window
-from sarsplat.report.rendered import Rendered, require_distinct
-from sarsplat.report.residual import Difference, window
+from sarsplat.report.images import Difference, target_window, window
+from sarsplat.report.rendered import Rendered, frame, require_distinct
 from sarsplat.report.views import evenly
 from sarsplat.runs.run_folder import LogLine
 
@@ -74,12 +72,6 @@ def test_of_more_points_than_a_picture_can_show_some_are_drawn(monkeypatch: pyte
     monkeypatch.setattr("sarsplat.report.boards._point_width_m", lambda cloud: drawn.append(cloud.n) or 0.0)
     (block,), _ = point_boards({"cloud": places}, None, 1.0)
     assert block.title == "cloud, 20,000 points" and drawn == [500]
-
-
-def test_the_difference_ignores_what_is_too_dark_to_see() -> None:
-    truth, rendered = np.array([[[1.0, 1e-9]]]), np.array([[[2.0, 1e-7]]])
-    grid = ImageGrid(1, 2, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))
-    np.testing.assert_allclose(Difference(None, grid, 1.0).of(truth, rendered), [[[3.0103, 0]]], atol=1e-4)
 
 
 @pytest.mark.parametrize(("looks", "cells"), [(1.0, 1.0), (4.0, 1.0), (1.0, 2.0)])

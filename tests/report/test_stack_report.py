@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from datasets import dataset_of
+from made import dataset_of
 from sarsplat import ImageGrid, ScatteringLaw, Stack, View, preset, reconstruct, simulate_stack, write_report
 from sarsplat.data import Dataset, write_dataset
 from sarsplat.geometry import radar_frame

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from made import upright
 from sarsplat import (
     Config,
     Dataset,
@@ -25,7 +26,6 @@ from sarsplat import (
 from sarsplat.exports import export
 from sarsplat.report import write_report
 from sarsplat.runs.own_gaussians import usual_grid, without_strays
-from upright import upright
 
 VIEWS = [View(10.0, 30.0), View(200.0, 50.0)]
 PLACES = torch.rand(60, 3, generator=torch.Generator().manual_seed(0))

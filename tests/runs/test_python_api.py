@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from datasets import dataset_of
+from made import dataset_of
 from sarsplat import Dataset, ImageGrid, Run, SarsplatError, View, preset, reconstruct
 from sarsplat.data import read_gaussians_ply, read_points_ply, write_points_ply
 from sarsplat.gaussians import SCATTERINGS

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from datasets import dataset_of
+from made import dataset_of
 from sarsplat import Dataset, ImageGrid, Run, SarsplatError, View, preset, read_dataset, reconstruct
 from sarsplat.data import load_checkpoint, save_checkpoint, write_dataset, write_tiff
 from sarsplat.learning import scene_frame

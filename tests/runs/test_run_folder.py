@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import torch
 
-from elsewhere import elsewhere
+from programs import elsewhere
 from sarsplat import Dataset, Run, SarsplatError, reconstruct
 from sarsplat.data import read_dataset
 from sarsplat.data.folders import only_writer

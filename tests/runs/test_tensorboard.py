@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from datasets import FEW_POINTS, dataset_of
+from made import FEW_POINTS, dataset_of
 from sarsplat.cli import main
 from sarsplat.data import Dataset, write_dataset
 from sarsplat.errors import SarsplatError

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import torch
 
-from datasets import FEW_POINTS, dataset_of
+from made import FEW_POINTS, dataset_of, upright
 from sarsplat import Config, Dataset, Gaussians, ImageGrid, Run, SarsplatError, View, preset, reconstruct
 from sarsplat.data import read_dataset, write_dataset
 from sarsplat.executors import EXECUTORS, Means, executor_ray
@@ -25,7 +25,6 @@ from sarsplat.learning.observations.single_images import Tile, tiles_of
 from sarsplat.renderer import render
 from sarsplat.runs.tiled_training import TILE, TileEnd, TileJob
 from sarsplat.settings.sections import Densification, Surroundings
-from upright import upright
 
 GRID = ImageGrid(48, 56, (0.3, 0.3), (0.45, 0.45))
 VIEWS = [View(azimuth, grazing) for azimuth in range(0, 360, 60) for grazing in (20.0, 50.0)]

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from sample_runs import made_up
+from made_runs import made_up
 from sarsplat import Run
 
 LOG_GAINS = torch.tensor([-0.4, 0.4, -0.4, 0.4, -0.4, 0.4])

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from reports import make_metrics
-from sample_runs import GRID, made_up
+from made_runs import GRID, made_up, make_metrics
 from sarsplat import ImageGrid, Run, SarsplatError, SarsplatWarning, chips
 from sarsplat.samples import Chips, write, write_chips
 from sarsplat.samples.chip_set import _warn_of_poor_runs

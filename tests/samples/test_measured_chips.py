@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from chip_files import write_chips
-from datasets import dataset_of
+from made import dataset_of
 from sarsplat import ImageGrid, View, write_dataset
 from sarsplat.cli import main
 from sarsplat.data import read_dataset

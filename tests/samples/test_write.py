@@ -62,9 +62,7 @@ def test_pictures_are_read_back(run: Run, tmp_path: Path, format: str, quantity:
 
 def test_a_folder_of_several_classes_is_imported_class_by_class(folders: list[Path], tmp_path: Path) -> None:
     write_chips(chips(folders, count=3, format="npy"), tmp_path / "set")
-    with pytest.raises(
-        SarsplatError, match=r"pictures of 2 classes \(box, T-72__a_\); choose one as `target_class`"
-    ):
+    with pytest.raises(SarsplatError, match=r"pictures of 2 classes \(box, T-72__a_\); choose one as `target_class`"):
         import_folder(tmp_path / "set", tmp_path / "back", near="bottom", quantity="amplitude")
     back = import_folder(tmp_path / "set", tmp_path / "back", target_class="box")
     assert (len(back), back.target) == (3, "box")

@@ -7,10 +7,9 @@ import pytest
 import torch
 import trimesh
 
+from made import hill, slope, upright
 from sarsplat import Ground, ImageGrid, ScatteringLaw, Terrain, View, render
 from sarsplat.scenes.raycast import simulate_raycast
-from terrains import hill, slope
-from upright import upright
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*of the target's surface is below the ground")
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from made import slope
 from refusals import Do, Refusals, check_refused, stored
 from sarsplat.geometry import ImageGrid, Stack, View
 from sarsplat.geometry.responses import TAYLOR
@@ -25,7 +26,6 @@ from sarsplat.scenes.meshes import scaled
 from sarsplat.scenes.raycast import raycast_mask
 from sarsplat.scenes.scattering import part_reflectivity
 from sarsplat.scenes.simulate import simulate_images
-from terrains import slope
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("embreex")

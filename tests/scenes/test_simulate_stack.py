@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import trimesh
 
+from made import upright
 from sarsplat import View, render_covariances
 from sarsplat.geometry import ImageGrid, Stack, radar_frame
 from sarsplat.geometry.responses import TAYLOR
 from sarsplat.scenes import Mechanisms, ScatteringLaw, simulate_raycast, simulate_stack
 from sarsplat.scenes.mechanisms import MATRICES
-from upright import upright
 
 VIEW, GRID = View(0.0, 45.0), ImageGrid(40, 36, (0.5, 0.5), (0.7, 0.7))
 STACK, LAW = Stack(0.031, (0.0, 0.0004, 0.001)), ScatteringLaw(1.0, 0.0, 1.0)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from made import upright
 from sarsplat import Gaussians, Harmonics, ImageGrid, SarsplatError, View, extract_points
 from sarsplat.data import write_mesh
 from sarsplat.gaussians.law_harmonics import CONSTANTS
@@ -17,7 +18,6 @@ from sarsplat.settings.sections import PointExtraction
 from sarsplat.surface.mesh import surface_mesh
 from sarsplat.surface.normals import surface_normals
 from sarsplat.surface.visibility import Seen
-from upright import upright
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("skimage")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from made import upright
 from sarsplat import Gaussians, ImageGrid, View, memory
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import RayGrid
@@ -23,7 +24,6 @@ from sarsplat.surface.cells import Voxels
 from sarsplat.surface.clusters import largest
 from sarsplat.surface.first_returns import OfView
 from sarsplat.surface.points import between, spread
-from upright import upright
 
 GRID = ImageGrid(32, 32, (0.3, 0.3), (0.3, 0.3))
 VIEWS = [View(45.0 * k, 30.0) for k in range(8)]

@@ -12,6 +12,7 @@ import torch
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+from made import hill
 from sarsplat import Gaussians, ImageGrid, Terrain, View, extract_points
 from sarsplat.learning.strategies.growth import holding
 from sarsplat.learning.strategies.ops import whole_sums
@@ -23,7 +24,6 @@ from sarsplat.surface.mesh import surface_mesh
 from sarsplat.surface.neighbours import Neighbours
 from sarsplat.surface.normals import surface_normals
 from sarsplat.surface.visibility import Seen
-from terrains import hill
 
 RING = [View(azimuth, grazing) for azimuth in range(7, 360, 60) for grazing in (25.0, 50.0)]
 

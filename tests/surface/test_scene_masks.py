@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 import torch
 
+from made import upright
 from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import CLUTTER, SHADOW, TARGET, ImageGrid, RayGrid, View
 from sarsplat.learning.method_sar_gs import GaussianReconstruction
 from sarsplat.scenes.raycast import raycast_mask
 from sarsplat.surface.masks import scene_masks
-from upright import upright
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("embreex")

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from datasets import box_dataset
+from made import box_dataset
 from sarsplat import ImageGrid, write_dataset
 from sarsplat.data.files import read_json
 from sarsplat.executors import EXECUTORS, Means

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from elsewhere import elsewhere
+from programs import elsewhere
 from sarsplat import sweep
 from sarsplat.data.files import locked
 from sarsplat.executors import Means, executor_local

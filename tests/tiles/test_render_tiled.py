@@ -9,6 +9,7 @@ import pytest
 import tifffile
 import torch
 
+from made import hill, upright
 from sarsplat.cli import main
 from sarsplat.data import write_gaussians_ply
 from sarsplat.errors import SarsplatError
@@ -19,8 +20,6 @@ from sarsplat.learning import model
 from sarsplat.renderer import render
 from sarsplat.tiles import at_once, render_tiled, tiles_kept_in
 from sarsplat.tiles import render as module
-from terrains import hill
-from upright import upright
 
 GRID = ImageGrid(90, 130, spacing_m=(0.3, 0.25), resolution_m=(0.4, 0.3), center_m=(900.0, -700.0))
 RAYS = RayGrid((0.2, 0.2))

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from datasets import FEW_POINTS, box_dataset
+from made import FEW_POINTS, box_dataset
 from sarsplat import Dataset, ImageGrid, Run, preset, reconstruct
 from sarsplat.settings import Config
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from datasets import dataset_of
+from made import dataset_of
 from sarsplat import ImageGrid, Run, ScatteringLaw, Stack, View, preset, reconstruct, simulate_stack
 from sarsplat.colours import DARK
 from sarsplat.viewer.run_subject import subject_of_run

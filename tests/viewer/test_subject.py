@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from datasets import FEW_POINTS
+from made import FEW_POINTS
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
 from sarsplat.radar import Pixel

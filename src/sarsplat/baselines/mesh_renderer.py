@@ -13,7 +13,7 @@ from jaxtyping import Float, Int64
 from torch import Tensor
 from torch.nn.functional import logsigmoid
 
-from sarsplat.baselines.regularity import face_normals, gathered
+from sarsplat.baselines.meshes import face_normals, gathered
 from sarsplat.baselines.soft_raster import Coverage, Lattice, grouped_softmax, picked, soft_coverage
 from sarsplat.geometry import ImageGrid, View
 

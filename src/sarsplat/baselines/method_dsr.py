@@ -15,9 +15,8 @@ from torch import Tensor
 
 from sarsplat.baselines.baseline import Baseline, BaselineConfig, Scene
 from sarsplat.baselines.mesh_renderer import Layers, MeshRenderer
+from sarsplat.baselines.meshes import cube_sphere, flatten_loss, icosphere, iou_loss, laplacian_loss, ordered_sum
 from sarsplat.baselines.method import BaselineMethod
-from sarsplat.baselines.regularity import flatten_loss, iou_loss, laplacian_loss, ordered_sum
-from sarsplat.baselines.template import cube_sphere, icosphere
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import SHADOW, TARGET, View
 from sarsplat.settings.kinds import Count, NotNegative, Positive

@@ -18,9 +18,8 @@ from torch.nn import functional
 from torch.utils.checkpoint import checkpoint
 
 from sarsplat.baselines.baseline import Baseline, BaselineConfig, Scene
-from sarsplat.baselines.fields import Field, Perceptron, isosurface, level_of_half
+from sarsplat.baselines.fields import Field, Perceptron, Rays, isosurface, level_of_half
 from sarsplat.baselines.method import BaselineMethod
-from sarsplat.baselines.rays import Rays
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
 from sarsplat.geometry.view import ground_radius_m

@@ -20,7 +20,7 @@ from sarsplat import extras
 from sarsplat.cli import console
 from sarsplat.cli.commands import COMMANDS, IMPORT_SUMMARY, Command, command, first_paragraph, show_overview, summary
 from sarsplat.errors import AssumptionWarning, SarsplatError, SarsplatWarning
-from sarsplat.version import installed_version
+from sarsplat.extras import installed_version
 
 _DESCRIPTION = (
     "From SAR images to a 3D target and back: simulate or import → reconstruct → evaluate → render. "

@@ -10,7 +10,7 @@ from pathlib import Path
 from sarsplat import extras
 from sarsplat.cli import console
 from sarsplat.errors import SarsplatError
-from sarsplat.version import installed_version
+from sarsplat.extras import installed_version
 
 
 def doctor() -> None:

@@ -66,7 +66,7 @@ def describe_dataset(path: Path, plot: Path | None) -> None:
         console.warn(f"its images contradict its header ({many}, found when it was made); `{look}` lists them")
     if plot is not None:
         from sarsplat.data import write_bytes
-        from sarsplat.report.sky import sky_picture
+        from sarsplat.report.sheet import sky_picture
 
         title = f"{dataset.target}: {counted(len(dataset), 'view')}"
         write_bytes(plot, sky_picture(train, tests, title, plot.suffix[1:].lower(), zero))

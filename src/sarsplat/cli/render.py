@@ -132,9 +132,16 @@ def render(
     """
     from sarsplat.colours import POWER
     from sarsplat.data.folders import refuse_other_kinds
-    from sarsplat.report.animation import ANIMATIONS
     from sarsplat.report.look import Look
-    from sarsplat.report.rendered import FILES, SHEET, Rendered, asked_grid, require_distinct, require_output
+    from sarsplat.report.rendered import (
+        ANIMATIONS,
+        FILES,
+        SHEET,
+        Rendered,
+        asked_grid,
+        require_distinct,
+        require_output,
+    )
     from sarsplat.tiles import tiles_kept_in
 
     # who gives size and number of pixels decides what they show

@@ -19,7 +19,7 @@ from sarsplat.data.header import SCHEMA, SCHEMA_VERSION, SPLIT, Box, Calibration
 from sarsplat.data.image import SarImage, as_signal, check_power, check_signal, in_blocks, power_of_passes
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry import ImageGrid, Place, Stack, Terrain, Turn, View
-from sarsplat.typed import convert
+from sarsplat.threads import convert
 
 _FARTHEST_M = 1e6
 """Maximum coordinate of the target's box, m."""

@@ -18,7 +18,7 @@ import msgspec
 from filelock import FileLock, Timeout
 
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.typed import decode
+from sarsplat.threads import decode
 
 T = TypeVar("T")
 

@@ -8,7 +8,7 @@ import msgspec
 
 from sarsplat.geometry.place import HeightAbove, Place
 from sarsplat.geometry.responses import RESPONSES
-from sarsplat.typed import convert
+from sarsplat.threads import convert
 
 SCHEMA = "sarsplat-dataset"
 SCHEMA_VERSION = 2

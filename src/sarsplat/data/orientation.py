@@ -12,7 +12,7 @@ from jaxtyping import Shaped
 
 from sarsplat.errors import SarsplatError
 from sarsplat.names import Side
-from sarsplat.typed import convert
+from sarsplat.threads import convert
 
 SIDES: tuple[Side, ...] = get_args(Side)
 

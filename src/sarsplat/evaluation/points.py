@@ -20,7 +20,7 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid
 from sarsplat.surface.cells import numbered
-from sarsplat.uninterruptible import uninterruptible
+from sarsplat.threads import uninterruptible
 
 _BATCH = 20_000  # points whose distances fit into a processor's cache
 _SAMPLES_BATCH = 200_000  # at most a second between reports of progress

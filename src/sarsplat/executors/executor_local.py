@@ -21,7 +21,7 @@ import msgspec
 import torch
 
 from sarsplat.executors.executor import J, Job, Means, Work, work_named
-from sarsplat.typed import decode
+from sarsplat.threads import decode
 
 _MAX_PER_DEVICE = 4
 """Default number of jobs at a time on a GPU. A guess, not measured: one leaves the GPU idle while Python and scores

@@ -12,7 +12,7 @@ import msgspec
 
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.executors.executor import J, Job, Means, work_named
-from sarsplat.typed import convert
+from sarsplat.threads import convert
 
 _SUBMITTED_PER_CPU = 4
 """Submitted jobs per processor of the cluster: `ray.wait` is slow with many."""

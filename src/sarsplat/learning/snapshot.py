@@ -16,7 +16,7 @@ from sarsplat.data import load_checkpoint, save_checkpoint
 from sarsplat.data.header import GridHeader
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid, Stack, View
-from sarsplat.typed import convert
+from sarsplat.threads import convert
 
 # Bounds of numbers in files: far above real ones, and safe for sums and pictures.
 _Count = Annotated[int, msgspec.Meta(ge=0, le=10**9)]

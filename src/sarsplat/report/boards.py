@@ -53,13 +53,11 @@ def point_boards(
     low, high = _limits(np.concatenate(every))
     fewest = min((len(points) for points in every if len(points)), default=0)
     raster = Raster.around(low, high, int(np.clip(2 * np.sqrt(fewest), _LEAST_PIXELS, _MOST_PIXELS)))
-    by_height, by_error, truth = [], [], None
-    span = float(low[2]), float(high[2])
-    if surface is not None:
-        truth = _tree(surface)
-        if heights:
-            seen = raster.sides(surface, _point_width_m(truth))
-            by_height.append(raster.board("true surface", seen, surface[:, 2], span, HEIGHT))
+    by_height, by_error, span = [], [], (float(low[2]), float(high[2]))
+    truth = None if surface is None else _tree(surface)
+    if surface is not None and truth is not None and heights:
+        seen = raster.sides(surface, _point_width_m(truth))
+        by_height.append(raster.board("true surface", seen, surface[:, 2], span, HEIGHT))
     for (name, points), title in zip(clouds.items(), titles, strict=True):
         seen = raster.sides(points, _point_width_m(_tree(points)))
         if heights or truth is None:

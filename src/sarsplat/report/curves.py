@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from sarsplat.report.figure import Axis, Block, Figure, Panel, axis, chart, polyline, written
+from sarsplat.runs import Run
 from sarsplat.runs.run_folder import LogLine
 
 _FALLS_FAR = 5.0  # times: the loss then gets a logarithmic axis
@@ -59,13 +60,18 @@ def _short(number: float) -> str:
     return written(number) if 1e-5 < number < 1e6 else f"{number:.0e}"
 
 
-def azimuths_figure(
-    azimuth_deg: Sequence[float], offset_deg: Float[np.ndarray, " k"], std_deg: Float[np.ndarray, " k"]
-) -> Figure:
-    """Corrections against azimuths as labelled, with the standard deviations that the dataset gives, all in degrees."""
-    azimuth = np.asarray(azimuth_deg) % 360
+def azimuths_figure(run: Run) -> Figure | None:
+    """Corrections against azimuths as labelled, with the standard deviations that the dataset gives, all in degrees.
+
+    None if no azimuth was corrected.
+    """
+    if not run.azimuth_offset_deg.any():
+        return None
+    entries = run.dataset.select("train").entries
+    azimuth = np.array([entry.view.azimuth_deg for entry in entries]) % 360
     order = np.argsort(azimuth, kind="stable")
-    azimuth, offset, std = azimuth[order] / 360, offset_deg[order], std_deg[order]
+    azimuth, offset = azimuth[order] / 360, run.azimuth_offset_deg[order]
+    std = np.array([entry.azimuth_std_deg for entry in entries])[order]
     largest = 1.1 * max(float(np.abs(offset).max()), float(std.max()))
 
     def share(value: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:

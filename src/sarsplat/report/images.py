@@ -1,24 +1,33 @@
-"""Arrays as pictures inside a page, and SAR images as its panels: axes in metres, a scale bar, and the radar above."""
+"""SAR images and their errors as panels of a page: axes in metres, a scale bar, and the radar above."""
 
 from __future__ import annotations
 
 import base64
 import io
+import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Real, UInt8
+from jaxtyping import Float64, Real, UInt8
 
-from sarsplat.colours import DIFFERENCE, POWER, Palette, ramp
+from sarsplat.colours import DIFFERENCE, DIFFERENCE_IN_WORDS, POWER, Palette, ramp
 from sarsplat.data.image import in_blocks
+from sarsplat.evaluation import UndefinedScore, register
+from sarsplat.evaluation.images import smoothed
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.radiometry import DYNAMIC_RANGE_DB, brighter, shade
+from sarsplat.radiometry import DYNAMIC_RANGE_DB, brighter, difference_db, from_db, shade
 from sarsplat.report.figure import ColourBar, Panel, axis, colour_bar, scale_bar
-from sarsplat.report.residual import Difference
 
 Image = Real[np.ndarray, "rows columns"]
+Images = Real[np.ndarray, "v rows columns"]
 
 _MARGIN = 5  # pixels around the target
+
+_LARGEST_DB, _LARGEST_SIGMA = 6.0, 4.0
+"""Ends of the colour scale; larger differences are clipped."""
+
+_LEAST_WINDOW = 3
+_DARKEST_DB = -60.0  # floor of rendered power below the peak: σ is never 0
 
 
 def indexed(values: Real[np.ndarray, "*shape"], low: float, high: float) -> UInt8[np.ndarray, "*shape"]:
@@ -44,14 +53,12 @@ def address(picture: UInt8[np.ndarray, "rows columns *rgb"], colours: Palette | 
     return f"data:image/png;base64,{base64.b64encode(png(picture, colours)).decode()}"
 
 
-def block_means(
-    images: Real[np.ndarray, "v rows columns"], factor: int
-) -> Real[np.ndarray, "v fewer_rows fewer_columns"]:
+def block_means(images: Images, factor: int) -> Real[np.ndarray, "v fewer_rows fewer_columns"]:
     """Means over blocks of `factor` × `factor` pixels; incomplete blocks at the far edges are cut off."""
     return images if factor == 1 else in_blocks(images, factor).mean(axis=(2, 4))
 
 
-def target_window(images: Real[np.ndarray, "v rows columns"], peak: float, margin: int = 0) -> tuple[slice, slice]:
+def target_window(images: Images, peak: float, margin: int = 0) -> tuple[slice, slice]:
     """Rows and columns to show: the target with a margin if its surroundings are dark, else the scored pixels.
 
     Pixels `DYNAMIC_RANGE_DB` below `peak` are dark; `margin` pixels on each side are not scored.
@@ -90,7 +97,7 @@ class Part:
         side = max(rows.stop - rows.start, columns.stop - columns.start)
         return cls(grid, rows, columns, -(-side // largest))
 
-    def of_images(self, images: Real[np.ndarray, "v rows columns"]) -> Real[np.ndarray, "v fewer_rows fewer_columns"]:
+    def of_images(self, images: Images) -> Real[np.ndarray, "v fewer_rows fewer_columns"]:
         """Crop and average images of a quantity that may be averaged."""
         return block_means(images[:, self.rows, self.columns], self.factor)
 
@@ -135,6 +142,86 @@ def power_bar() -> ColourBar:
     return colour_bar("power, dB relative to the brightest training pixels", POWER, -DYNAMIC_RANGE_DB, 0)
 
 
-def difference_bar(difference: Difference) -> ColourBar:
-    """Colour bar of `Part.difference`."""
-    return colour_bar(difference.label, DIFFERENCE, -difference.largest, difference.largest)
+# ---- errors ----------------------------------------------------------------------------------------------------------
+def window(grid: ImageGrid) -> tuple[int, int, float]:
+    """Rows and columns of the averaging window of residuals, and its number of independent samples.
+
+    The smallest window of odd sides, at least 3 × 3 pixels, that holds a resolution cell; see
+    `ImageGrid.independent_samples`.
+    """
+    columns, rows = (
+        max(_LEAST_WINDOW, 2 * math.ceil((width / spacing - 1) / 2) + 1)
+        for width, spacing in zip(grid.resolution_m, grid.spacing_m, strict=True)
+    )
+    share = grid.independent_samples / (grid.rows * grid.columns)
+    return rows, columns, max(1.0, share * rows * columns)
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Error shown in figures: its label, range and explanation.
+
+    `looks` is that of the true images (None without speckle), `peak` the power shown white.
+    """
+
+    looks: float | None
+    grid: ImageGrid
+    peak: float
+
+    @property
+    def largest(self) -> float:
+        """End of the colour scale; larger values are clipped."""
+        return _LARGEST_DB if self.looks is None else _LARGEST_SIGMA
+
+    @property
+    def label(self) -> str:
+        """Label of the colour bar."""
+        return "reconstruction over truth, dB" if self.looks is None else "residual ÷ σ of the speckle"
+
+    @property
+    def bar(self) -> ColourBar:
+        """Colour bar of `Part.difference`."""
+        return colour_bar(self.label, DIFFERENCE, -self.largest, self.largest)
+
+    @property
+    def explained(self) -> str:
+        """Caption."""
+        colours = f"{DIFFERENCE_IN_WORDS.capitalize()}."
+        if self.looks is None:
+            return (
+                f"{colours} Values more than {DYNAMIC_RANGE_DB:g} dB below what is white in the images count as equal."
+            )
+        rows, columns, independent = window(self.grid)
+        return (
+            "Each reconstruction is shifted by up to 3 pixels and scaled to fit its image best, as in scoring. "
+            f"{colours} The residual, reconstruction minus measured power averaged over {rows} × "
+            f"{columns} pixels (the smallest odd window that holds a resolution cell), is divided by σ, the "
+            f"standard deviation that speckle of {self.looks:g} look{'' if self.looks == 1 else 's'} leaves in that "
+            f"average of {independent:.1f} independent samples: speckle alone gives values within about ±2."
+        )
+
+    def of(self, truth: Images, rendered: Images) -> Float64[np.ndarray, "v rows columns"]:
+        """Error of rendered against true images, β⁰ in linear power [V, rows, columns].
+
+        Without speckle 10·log10(rendered / truth), both at least −40 dB of the peak. With speckle of L looks (mean(S) −
+        mean(I)) / √(mean(S²) / (L·n)), means over a window with n independent samples: I scatters around S by S/√L.
+        """
+        truth, rendered = truth.astype(np.float64), rendered.astype(np.float64)
+        if self.looks is None:
+            return difference_db(rendered, truth, self.peak, -DYNAMIC_RANGE_DB)
+        rendered = np.maximum(rendered, self.peak * from_db(_DARKEST_DB))
+        *size, independent = window(self.grid)
+        sigma = np.sqrt(smoothed(rendered**2, *size) / (self.looks * independent))
+        return smoothed(rendered - truth, *size) / sigma
+
+
+def fitted(truth: Images, rendered: Images, looks: float | None, margin: int) -> Images:
+    """Align rendered images as in scoring: under speckle, shift and scale them to fit the true images best."""
+    if looks is None:
+        return rendered
+    try:
+        best = register(truth, rendered, margin)
+    except UndefinedScore:  # the evaluation gives the reason
+        return rendered
+    moved = [np.roll(image, tuple(shift), (0, 1)) for image, shift in zip(rendered, best.shift, strict=True)]
+    return np.stack(moved) * best.gain[:, None, None]

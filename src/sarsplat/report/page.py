@@ -26,10 +26,10 @@ from sarsplat.evaluation import (
 )
 from sarsplat.evaluation.tables import baselines, whose
 from sarsplat.examination.plausible import weakest_direction
+from sarsplat.extras import program_version
 from sarsplat.report.figure import Figure
 from sarsplat.runs import Run
 from sarsplat.runs.run_folder import left_open
-from sarsplat.version import program_version
 
 if TYPE_CHECKING:
     import jinja2
@@ -104,22 +104,20 @@ def compared_tables(
     `every` holds the content of the `metrics.json` of each; the best of a row is marked if `ranked`.
     """
 
-    def column(name: str, values: Mapping[str, Any]) -> Scores:
-        return Scores(name, values, ranked=ranked)
+    def columns(values: Iterable[Mapping[str, Any]]) -> list[Scores]:
+        return [Scores(name, of_run, ranked=ranked) for name, of_run in zip(names, values, strict=True)]
 
     tables = []
     for split in dict.fromkeys(split for metrics in every for split in metrics["images"]):
-        columns = [column(name, metrics["images"].get(split, {})) for name, metrics in zip(names, every, strict=True)]
-        beside = {one.name: one.values for metrics in every for one in baselines(metrics, split)}
-        columns += [column(name, values) for name, values in beside.items()] if ranked else []
-        tables.append(score_table(f"Unseen views: {split}", (*IMAGE_METRICS, *MASK_METRICS), columns))
-    columns = [column(name, metrics["points"]["visible"]) for name, metrics in zip(names, every, strict=True)]
+        of_split = columns(metrics["images"].get(split, {}) for metrics in every)
+        beside = {one.name: one for metrics in every for one in baselines(metrics, split)} if ranked else {}
+        of_images = (*IMAGE_METRICS, *MASK_METRICS)
+        tables.append(score_table(f"Unseen views: {split}", of_images, [*of_split, *beside.values()]))
     cells = dict.fromkeys(metrics["parameters"]["yardstick_m"] for metrics in every)
-    of_points = {metric.key: metric for cell in cells for metric in metrics_of_points(Yardstick(cell))}
-    tables.append(score_table("Points, visible surface", [*of_points.values()], columns))
-    of_runs = [{metric.key: metrics.get(metric.key) for metric in RUN_METRICS} for metrics in every]
-    columns = [column(name, values) for name, values in zip(names, of_runs, strict=True)]
-    tables.append(score_table("Training", RUN_METRICS, columns))
+    of_points = [*{metric.key: metric for cell in cells for metric in metrics_of_points(Yardstick(cell))}.values()]
+    visible = columns(metrics["points"]["visible"] for metrics in every)
+    tables.append(score_table("Points, visible surface", of_points, visible))
+    tables.append(score_table("Training", RUN_METRICS, columns(every)))
     return [table for table in tables if table.rows]
 
 
@@ -251,24 +249,20 @@ def _plain(value: Any) -> str:
 
 
 def _run_facts(run: Run) -> dict[str, str]:
+    echoes = {}
+    if run.model is not None and run.model.echoes():  # of ground and target alone, shares say little
+        shares = run.model.power_by_echo(run.model.degree(run.iteration))
+        echoes["power"] = ", ".join(f"{way} {share:.0%}" for way, share in shares.items())
     return {
         "folder": "in memory" if run.path is None else str(run.path),
         "method": run.method,
         **run.facts,
-        **_power_by_echo(run),
+        **echoes,
         "training time": _duration(run.time_s),
         **({} if run.metrics is None else left_open(run.metrics)),
         "seed": str(run.seed),
         "report by": f"sarsplat {program_version()}",
     }
-
-
-def _power_by_echo(run: Run) -> dict[str, str]:
-    """Shares of power by echo, if the run has learned more echoes than those of target and ground."""
-    if run.model is None or not run.model.echoes():
-        return {}
-    shares = run.model.power_by_echo(run.model.degree(run.iteration))
-    return {"power": ", ".join(f"{way} {share:.0%}" for way, share in shares.items())}
 
 
 def _duration(seconds: float) -> str:

@@ -16,8 +16,15 @@ from sarsplat.evaluation import IMAGE_METRICS, Metric, UndefinedScore, predicted
 from sarsplat.evaluation.metrics import ImagePair
 from sarsplat.radiometry import white_level
 from sarsplat.report.figure import Block, Figure, Panel, polyline
-from sarsplat.report.images import Part, difference_bar, power_bar, target_window, view_name
-from sarsplat.report.residual import Difference, Stack, fitted
+from sarsplat.report.images import (
+    Difference,
+    Images,
+    Part,
+    fitted,
+    power_bar,
+    target_window,
+    view_name,
+)
 from sarsplat.runs import Run
 
 _VIEWS = 8
@@ -43,7 +50,7 @@ def evenly(count: int, wanted: int) -> list[int]:
     return sorted({int(index) for index in np.linspace(0, count - 1, min(count, wanted)).round()})
 
 
-def unseen(dataset: Dataset) -> list[int]:
+def _unseen(dataset: Dataset) -> list[int]:
     """Indices of the test images, or of all images if there are no tests."""
     tests = [index for index, entry in enumerate(dataset.entries) if entry.split != "train"]
     return tests or list(range(len(dataset)))
@@ -75,7 +82,7 @@ def ranked_images(
 
 def with_others(dataset: Dataset, chosen: Sequence[Chosen], others: int) -> list[Chosen]:
     """The chosen images, then at most `others` other unseen ones, evenly spread."""
-    rest = sorted(set(unseen(dataset)) - {one.index for one in chosen})
+    rest = sorted(set(_unseen(dataset)) - {one.index for one in chosen})
     return [*chosen, *(Chosen(rest[k]) for k in evenly(len(rest), others) if rest)]
 
 
@@ -100,61 +107,52 @@ def views_figure(
     true = "measured" if dataset.calibration == "relative" else "truth"
     names = [f"{view_name(views[k])}{f' ({one.why})' if one.why else ''}" for k, one in enumerate(chosen)]
 
-    def power(name: str, images: Stack, k: int, title: str) -> Panel:
+    def power(name: str, images: Images, k: int, title: str) -> Panel:
         return part.power(title, f"{name}, {view_name(views[k])}", images[k], peak)
 
-    def error(name: str, images: Stack, k: int, title: str) -> Panel:
+    def error(name: str, images: Images, k: int, title: str) -> Panel:
         alt = f"error of {'the ' if name == _OWN else ''}{name}, {view_name(views[k])}"
         return part.difference(title, alt, images[k], difference.largest)
 
-    if not across:  # one run, a block for every view
-        ((name, stack),) = stacks.items()
-        blocks = [
-            Block(
-                heading,
-                (power(true, truth, k, true), power(name, stack, k, name), error(name, errors[name], k, "error")),
-            )
-            for k, heading in enumerate(names)
-        ]
-    else:
-        rows = [(true, power, true, truth), *((name, power, name, stack) for name, stack in stacks.items())]
-        rows += [(f"error of {name}", error, name, stack) for name, stack in errors.items()]
-        blocks = [
-            Block(
-                heading,
-                tuple(draw(name, images, k, "" if index else names[k]) for k in range(len(names))),
-                across=max(across, len(names)),
-            )
-            for index, (heading, draw, name, images) in enumerate(rows)
-        ]
+    rows = [(true, power, true, truth), *((name, power, name, stack) for name, stack in stacks.items())]
+    rows += [(f"error of {name}" if across else "error", error, name, stack) for name, stack in errors.items()]
+    blocks = []
+    if across:
+        for index, (heading, draw, name, images) in enumerate(rows):
+            panels = tuple(draw(name, images, k, "" if index else names[k]) for k in range(len(names)))
+            blocks.append(Block(heading, panels, across=max(across, len(names))))
+    else:  # a block for every view
+        for k, heading in enumerate(names):
+            blocks.append(Block(heading, tuple(draw(name, images, k, title) for title, draw, name, images in rows)))
     text += f" {difference.explained}"
     if part.factor > 1:
         text += f" Shown averaged over {part.factor} × {part.factor} pixels."
     layout = "sheet" if across else ""
-    return Figure(title, text, tuple(blocks), (power_bar(), difference_bar(difference)), layout=layout)
+    return Figure(title, text, tuple(blocks), (power_bar(), difference.bar), layout=layout)
 
 
 def unseen_figure(run: Run, chosen: Sequence[Chosen]) -> Figure:
     """Truth, reconstruction and error of some images of a run's dataset."""
-    text = f"{_which(run.dataset, chosen)} Power in decibels, the radar above, near range first."
+    items, how = _unseen(run.dataset), "evenly chosen"
+    if chosen[0].why:
+        how = f"first the best, the median and the worst by {chosen[0].score}, then others, evenly chosen"
+    which = f"{len(chosen)} of {counted(len(items), 'test view')}, {how}; none of them was trained on."
+    if run.dataset.entries[items[0]].split == "train":
+        which = "The dataset has no test views, so these are training views."
+    text = f"{which} Power in decibels, the radar above, near range first."
     return views_figure("Unseen views", text, {_OWN: run}, chosen)
 
 
-def _which(dataset: Dataset, chosen: Sequence[Chosen]) -> str:
-    items = unseen(dataset)
-    if dataset.entries[items[0]].split == "train":
-        return "The dataset has no test views, so these are training views."
-    how = "evenly chosen"
-    if chosen[0].why:
-        how = f"first the best, the median and the worst by {chosen[0].score}, then others, evenly chosen"
-    return f"{len(chosen)} of {counted(len(items), 'test view')}, {how}; none of them was trained on."
-
-
 # ---- masks ----------------------------------------------------------------------------------------------------------
-def masks_figure(run: Run, folder: Path) -> Figure | None:
-    """Test images with outlines of true masks (from a folder) and predicted masks; None if none can be predicted."""
-    dataset = run.dataset
-    masks = read_masks(folder, dataset)
+def masks_figure(run: Run) -> Figure | None:
+    """Test images with outlines of predicted masks and of the true ones that the run was evaluated with.
+
+    None without true masks, or if none can be predicted.
+    """
+    dataset, folder = run.dataset, (run.metrics or {}).get("masks")
+    if folder is None:
+        return None
+    masks = read_masks(Path(folder), dataset)
     masked = list(masks)
     chosen = [masked[index] for index in evenly(len(masked), _VIEWS)]
     looks = dataset.select(dataset.entries[chosen[0]].split).looks
@@ -165,7 +163,7 @@ def masks_figure(run: Run, folder: Path) -> Figure | None:
         return None
     truth = np.stack([masks[index] for index in chosen])
     union = np.maximum(truth, predicted).max(axis=0)
-    rows, columns = (_window(union.max(axis=1 - axis)) for axis in (0, 1))
+    rows, columns = (_margined(union.max(axis=1 - axis)) for axis in (0, 1))
     part = Part.of(dataset.grid, (rows, columns), _LARGEST)
     peak = white_level(dataset.images("train"))
     panels = []
@@ -196,7 +194,7 @@ def _outlines(mask: Mask, whose: str) -> str:
     return drawn
 
 
-def _window(present: UInt8[np.ndarray, " n"]) -> slice:
+def _margined(present: UInt8[np.ndarray, " n"]) -> slice:
     """Bounding rows and columns of the set pixels, with a margin; the whole image if none is set."""
     covered = np.flatnonzero(present)
     if len(covered) == 0:

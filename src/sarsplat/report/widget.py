@@ -22,8 +22,7 @@ from sarsplat.geometry.view import seen_alike
 from sarsplat.progress import stage
 from sarsplat.radiometry import DYNAMIC_RANGE_DB, shade, white_level
 from sarsplat.report.figure import colour_bar
-from sarsplat.report.images import Part, address, difference_bar, indexed, png, power_bar, target_window
-from sarsplat.report.residual import Difference, fitted
+from sarsplat.report.images import Difference, Part, address, fitted, indexed, png, power_bar, target_window
 from sarsplat.report.views import evenly
 from sarsplat.runs import Run
 
@@ -113,7 +112,7 @@ def widget(run: Run) -> dict[str, Any] | None:
     if raster and raster[0].unusual not in {view.unusual for view in views}:
         text += " Directions that no image has are level and to the right, for the images differ in that."
     heights = colour_bar("height z, m", HEIGHT, float(low[2]), float(high[2]))
-    bars = {"heights": heights, "powers": power_bar(), "errors": difference_bar(difference)}
+    bars = {"heights": heights, "powers": power_bar(), "errors": difference.bar}
     return {"panels": panels, **bars, "text": text, "climbs": highest - lowest >= _FINEST_DEG, "data": data}
 
 

@@ -71,13 +71,13 @@ def write_report(run: Run, out: str | Path | None = None, *, quiet: bool = False
 def _html(run: Run, quiet: bool) -> bytes:
     with scores_expected(run):
         chosen = chosen_views(run.dataset, run.metrics)
-    figures, turning = list[Figure](), list[dict[str, Any] | None]()
+    figures, turning = list[Figure | None](), list[dict[str, Any] | None]()
     parts: list[tuple[str, int, Callable[[], object]]] = [  # with approximate durations, relative to the first
         ("unseen views", 1, lambda: figures.append(unseen_figure(run, chosen))),
         *([("stacks", 10, lambda: figures.extend(_stacks(run)))] if run.dataset.passes else []),
-        ("masks", 1, lambda: figures.extend(_masks(run))),
+        ("masks", 1, lambda: figures.append(masks_figure(run))),
         ("points", 5, lambda: figures.append(_points(run))),
-        ("mesh", 5, lambda: figures.extend(_mesh(run))),
+        ("mesh", 5, lambda: figures.append(_mesh(run))),
         ("images from all sides", 10, lambda: turning.append(widget(run))),
     ]
     with progress("report", sum(steps for _, steps, _ in parts), quiet) as shown:
@@ -86,7 +86,9 @@ def _html(run: Run, quiet: bool) -> bytes:
             draw()
             shown.advance(steps)
     with scores_expected(run):
-        return page(run, figures, [*_curves(run), *_azimuths(run)], turning[0]).encode()
+        training = [curves_figure(run.history, *run.loss_title) if run.history else None, azimuths_figure(run)]
+        before_scores, after_scores = ([one for one in drawn if one is not None] for drawn in (figures, training))
+        return page(run, before_scores, after_scores, turning[0]).encode()
 
 
 def _written(path: Path, html: bytes) -> Path:
@@ -122,14 +124,7 @@ def scores_expected(run: Run) -> Iterator[None]:
         ) from error
 
 
-def _masks(run: Run) -> list[Figure]:
-    """Figures of masks, from the folder that the run was evaluated with."""
-    folder = None if (metrics := run.metrics) is None else metrics.get("masks")
-    drawn = None if folder is None else masks_figure(run, Path(folder))
-    return [] if drawn is None else [drawn]
-
-
-def _stacks(run: Run) -> list[Figure]:
+def _stacks(run: Run) -> list[Figure | None]:
     """Figures of learned stacks: polarisations, or phase with a slice through layover."""
     if run.model is None or run.config.passes is None:
         return []
@@ -138,26 +133,23 @@ def _stacks(run: Run) -> list[Figure]:
         return [pauli_figure(run, window)] if set(run.dataset.stacks[0].of_channels) >= PAULI else []
     index, cut = brightest_layover(run.dataset, run.points, window)
     truth, motion = _truth(run)
-    section = slice_figure(run, cut, truth if motion == _STILL else None)
-    return [phases_figure(run, index, cut, window), *([] if section is None else [section])]
+    return [phases_figure(run, index, cut, window), slice_figure(run, cut, truth if motion == _STILL else None)]
 
 
 def _points(run: Run) -> Figure:
     _, farthest_m, _ = Yardstick.of(run.dataset.grid).thresholds_m
     file, motion = _truth(run)
-    clouds = {"reconstruction": motion.moved(run.points)}
     surface = None if file is None else sampled(file)
     found = "The first returns of the training views' rays"
     if run.dataset.passes and run.model is not None and run.config.passes is not None:
         found = f"The centres of the Gaussians that together return {run.config.points.power_share:.0%} of the power"
-    text = f"{found}, seen from three sides"
-    if surface is None:
-        text += "; the true surface is unknown."
-    else:
-        text += ", and the true surface, which the training never saw. Height and error have separate colour scales."
+    truth = "; the true surface is unknown."
+    if surface is not None:
+        truth = ", and the true surface, which the training never saw. Height and error have separate colour scales."
+    text = f"{found}, seen from three sides{truth}"
     if motion != _STILL:
         text += f" To compare them, the points were {motion}."
-    blocks, bars = point_boards(clouds, surface, farthest_m)
+    blocks, bars = point_boards({"reconstruction": motion.moved(run.points)}, surface, farthest_m)
     return Figure("Points", text, blocks, bars)
 
 
@@ -178,29 +170,15 @@ def _truth(run: Run) -> tuple[Path | None, Alignment]:
     return file, Alignment(shift_m, heading_deg, tilts_deg=truth.get("tilts_deg", _STILL.tilts_deg))
 
 
-def _mesh(run: Run) -> list[Figure]:
+def _mesh(run: Run) -> Figure | None:
     truth, motion = _truth(run)
     try:
-        mesh = run.mesh()
+        mesh = run.mesh().copy()
     except SarsplatError:  # the evaluation gives the reason
-        return []
+        return None
     if len(mesh.faces) == 0:
-        return []
-    mesh = mesh.copy()
+        return None
     mesh.vertices = motion.moved(mesh.vertices)
     text = "The surface through the points, shaded (sarsplat export writes it). It is open where no view looked"
     beside = "; the true surface is whole." if truth else "."
-    return [Figure("Mesh", text + beside, mesh_boards(mesh, read_truth_mesh(truth) if truth else None))]
-
-
-def _curves(run: Run) -> list[Figure]:
-    history = run.history
-    return [curves_figure(history, *run.loss_title)] if history else []
-
-
-def _azimuths(run: Run) -> list[Figure]:
-    if not run.azimuth_offset_deg.any():
-        return []
-    train = run.dataset.select("train")
-    std = np.array([entry.azimuth_std_deg for entry in train.entries])
-    return [azimuths_figure([view.azimuth_deg for view in train.views], run.azimuth_offset_deg, std)]
+    return Figure("Mesh", text + beside, mesh_boards(mesh, read_truth_mesh(truth) if truth else None))

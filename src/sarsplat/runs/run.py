@@ -40,7 +40,7 @@ from sarsplat.runs.run_folder import (
     require_replaceable,
 )
 from sarsplat.settings.config import DEFAULT_METHOD
-from sarsplat.typed import convert
+from sarsplat.threads import convert
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from sarsplat.data import read_json, read_points_ply, read_versioned_json, write
 from sarsplat.data.files import open_file, plain_os_errors
 from sarsplat.data.header import PlaceHeader
 from sarsplat.errors import SarsplatError, counted
-from sarsplat.typed import decode
+from sarsplat.threads import decode
 
 if TYPE_CHECKING:
     from sarsplat.learning.snapshot import Snapshot

@@ -17,6 +17,7 @@ from sarsplat.data.dataset_folder import HEADER
 from sarsplat.data.files import write_bytes, write_json
 from sarsplat.data.sidecar import UNPLACED, read_unplaced, unplaced_in
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
+from sarsplat.extras import program_version
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.progress import progress
 from sarsplat.samples.chip_set import folder_name, one_serial, require_distinct_folders
@@ -30,7 +31,6 @@ from sarsplat.samples.encoding import (
     unusual_columns,
     unusual_values,
 )
-from sarsplat.version import program_version
 
 MARKER = "measured-chips.json"
 """File that marks a folder of measured chips."""

@@ -29,6 +29,7 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.data import new_folder, write_bytes
 from sarsplat.data.files import encode_json, open_file, read_versioned_json
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.extras import program_version
 from sarsplat.learning.sampler import LEARNED, UNIFORM
 from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side, Speckle
 from sarsplat.progress import progress
@@ -41,7 +42,6 @@ from sarsplat.samples.encoding import (
     unusual_columns,
     unusual_values,
 )
-from sarsplat.version import program_version
 
 _COLUMNS = ("path", "class", "azimuth_deg", "grazing_deg", "seed", "run", *IMPORT_COLUMNS, "near_side")
 

@@ -12,7 +12,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, Union, get_
 import msgspec
 
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.typed import convert
+from sarsplat.threads import convert
 
 
 @dataclass(frozen=True)

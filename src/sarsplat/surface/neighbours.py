@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from sarsplat.surface import cells
-from sarsplat.uninterruptible import uninterruptible
+from sarsplat.threads import uninterruptible
 
 _PAIRS = 1 << 22
 """Maximum number of pairs of a place and a point in a batch, to bound memory."""

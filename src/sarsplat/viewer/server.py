@@ -1,13 +1,15 @@
-"""viser's web server on the loopback interface: a fixed port, no requests of other sites' pages, nothing external."""
+"""viser's web server on the loopback interface, closed to other sites' pages, and the thread that draws for it."""
 
 from __future__ import annotations
 
 import io
+import logging
 import os
 import re
 import socket
 import threading
 from collections.abc import Callable, Iterator
+from concurrent import futures
 from contextlib import contextmanager, redirect_stdout
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
@@ -23,8 +25,6 @@ if TYPE_CHECKING:
 HOST = "127.0.0.1"
 _NAMES = (HOST, "localhost", "[::1]")
 """Host names under which the page is served, on any port: an SSH tunnel may change it."""
-
-_TITLE = "sarsplat"
 
 _POLICY = (
     "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval' blob: data:; style-src 'unsafe-inline'; "
@@ -50,7 +50,7 @@ def start_server(port: int, on_pick: Callable[[float, float], None]) -> viser.Vi
     try:
         # viser prints its address in a box
         with _STARTING, _served_on(listener, number, on_pick), redirect_stdout(io.StringIO()):
-            return viser.ViserServer(host=HOST, port=number, label=_TITLE, verbose=False)
+            return viser.ViserServer(host=HOST, port=number, label="sarsplat", verbose=False)
     except BaseException:
         listener.close()
         raise
@@ -149,3 +149,44 @@ def _picked(connection: ServerConnection, request: Request, on_pick: Callable[[f
         return connection.respond(400, "not a place in the picture\n")
     on_pick(x, y)
     return connection.respond(204, "")
+
+
+# ---- drawing ---------------------------------------------------------------------------------------------------------
+class Newest:
+    """Thread that runs one function on request, never twice at once.
+
+    Requests during a run lead to a single further run: the function reads the newest state itself. Errors are logged
+    and do not stop the thread.
+    """
+
+    def __init__(self, work: Callable[[], object]) -> None:
+        self._work = work
+        self._pool = futures.ThreadPoolExecutor(1, "sarsplat-view")
+        self._asking = threading.Lock()
+        self._last: futures.Future[None] | None = None
+        self._closed = False
+        self.done = 0
+
+    def ask(self) -> None:
+        """Request the work; it starts as soon as the thread is free."""
+        with self._asking:
+            waiting = self._last is not None and not (self._last.running() or self._last.done())
+            if not waiting and not self._closed:
+                self._last = self._pool.submit(self._run)
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait until all requested work is done; False on timeout."""
+        return self._last is None or not futures.wait([self._last], timeout_s).not_done
+
+    def close(self) -> None:
+        """Finish the work in progress and ignore later requests."""
+        with self._asking:
+            self._closed = True
+        self._pool.shutdown(cancel_futures=True)
+
+    def _run(self) -> None:
+        try:
+            self._work()
+        except Exception:
+            logging.getLogger("sarsplat").exception("the picture could not be drawn")
+        self.done += 1

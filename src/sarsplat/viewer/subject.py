@@ -69,20 +69,11 @@ class Contributors:
 class Subject:
     """Dataset, and a run of it if any; `dataset` is None if its images are missing. `peak` is the power shown white."""
 
-    renders = False
-    """True if `render` is implemented."""
+    renders = scatters = knows_errors = knows_phases = False
+    """True if `render`, `gamma0`, `error_m`, `interferogram` are implemented."""
 
     has_ground = False
     """True if ground was learned, which can be hidden."""
-
-    scatters = False
-    """True if `gamma0` is implemented."""
-
-    knows_errors = False
-    """True if `error_m` is implemented."""
-
-    knows_phases = False
-    """True if `interferogram` is implemented."""
 
     def __init__(
         self, title: str, grid: ImageGrid, train_views: tuple[View, ...], peak: float, dataset: Dataset | None

@@ -22,7 +22,6 @@ from sarsplat.radar import Pixel
 from sarsplat.radiometry import to_db
 from sarsplat.runs import Step
 from sarsplat.viewer.controls import BY_ERROR, BY_GAMMA0, Choices, Controls
-from sarsplat.viewer.newest import Newest
 from sarsplat.viewer.pictures import (
     MAPS,
     PHASES,
@@ -35,7 +34,7 @@ from sarsplat.viewer.pictures import (
     phase_panel,
     power_panel,
 )
-from sarsplat.viewer.server import HOST, start_server, stop_server
+from sarsplat.viewer.server import HOST, Newest, start_server, stop_server
 from sarsplat.viewer.stage import Stage
 from sarsplat.viewer.subject import (
     TRUTH,

@@ -1,8 +1,10 @@
-"""Thread-safe decoding of JSON and plain data into types by msgspec."""
+"""Library calls that threads or Ctrl-C would crash: decoding into types by msgspec, and searches by many threads."""
 
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
 import msgspec
@@ -31,3 +33,13 @@ def _prepare(kind: Any) -> None:
         with _lock:
             msgspec.json.Decoder(kind)
         _prepared.add(kind)
+
+
+def uninterruptible(function: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+    """Return the result of a call that Ctrl-C does not interrupt.
+
+    scipy's searches with `workers=-1` need this: after an interrupt, their threads write into freed memory, and the
+    process crashes.
+    """
+    with ThreadPoolExecutor(1) as thread:  # only the main thread is interrupted, and leaving waits for this one
+        return thread.submit(function, *arguments, **options).result()
