@@ -62,8 +62,9 @@ def of_the_machine(gpu: Gpu) -> Found:
 
 def of_scenes(gpu: Gpu) -> Found:
     """The tests' scenes: largest relative errors against the float64 reference, and whether bits stay the same."""
+    from compared import relative
     from named_scenes import MATRIX
-    from test_cpu_engine import NOTHING_TO_SEE, judged, relative
+    from test_cpu_engine import NOTHING_TO_SEE, judged
     from test_cuda_native import on_gpu
 
     for name in list(MATRIX)[: gpu.few(len(MATRIX), 2)]:

@@ -64,7 +64,10 @@ def relative(found: torch.Tensor, expected: torch.Tensor) -> float:
 
 def same_bits(first: dict[str, torch.Tensor | None], second: dict[str, torch.Tensor | None]) -> bool:
     return all(
-        mine is theirs or torch.equal(mine.view(torch.int32), theirs.view(torch.int32))
+        mine is theirs
+        or bool(
+            mine is not None and theirs is not None and torch.equal(mine.view(torch.int32), theirs.view(torch.int32))
+        )
         for mine, theirs in ((mine, second[name]) for name, mine in first.items())
     )
 

@@ -6,10 +6,10 @@ from functools import partial
 
 import pytest
 import torch
+from compared import relative
 from emulated_cuda import Emulator, guarded, render_on
 from named_scenes import GRID, MATRIX, VIEWS, Scene, changed, cloud
 from test_cpu_engine import everything as all_of
-from test_cpu_engine import relative
 
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians

@@ -109,7 +109,8 @@ def chips(
     """
     from sarsplat.samples import chips as chips_of
     from sarsplat.samples import write_chips
-    from sarsplat.samples.write import LABELS, MARKER
+    from sarsplat.samples.encoding import LABELS
+    from sarsplat.samples.write import MARKER
 
     encoding = asdict(pixels)
     if measured:
@@ -136,8 +137,8 @@ def chips(
 
 def _write_measured(datasets: tuple[Path, ...], out: Path, encoding: dict[str, Any], overwrite: bool) -> None:
     """Write measured chips, and print how to train on them."""
-    from sarsplat.samples.encoding import Encoding
-    from sarsplat.samples.measured import LABELS, MARKER, in_words, write_measured_chips
+    from sarsplat.samples.encoding import LABELS, Encoding
+    from sarsplat.samples.measured import MARKER, in_words, write_measured_chips
 
     refuse_existing(out, overwrite, marker=MARKER)
     written = write_measured_chips(datasets, out, Encoding(**encoding), overwrite=overwrite, quiet=False)

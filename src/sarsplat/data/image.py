@@ -196,7 +196,8 @@ def check_signal(
     shape = (power.shape[0], passes, *power.shape[1:]) if passes else power.shape
     if (
         signal is None
-        or (signal.dtype, signal.shape) != (np.complex64, shape)
+        or signal.dtype != np.complex64
+        or signal.shape != shape
         or not np.array_equal(power_of_passes(signal) if passes else power_of(signal), power)
     ):
         has = "None" if signal is None else f"{signal.dtype} of shape {signal.shape}"

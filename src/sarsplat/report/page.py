@@ -111,8 +111,9 @@ def compared_tables(
     for split in dict.fromkeys(split for metrics in every for split in metrics["images"]):
         of_split = columns(metrics["images"].get(split, {}) for metrics in every)
         beside = {one.name: one for metrics in every for one in baselines(metrics, split)} if ranked else {}
-        of_images = (*IMAGE_METRICS, *MASK_METRICS)
-        tables.append(score_table(f"Unseen views: {split}", of_images, [*of_split, *beside.values()]))
+        tables.append(
+            score_table(f"Unseen views: {split}", (*IMAGE_METRICS, *MASK_METRICS), [*of_split, *beside.values()])
+        )
     cells = dict.fromkeys(metrics["parameters"]["yardstick_m"] for metrics in every)
     of_points = [*{metric.key: metric for cell in cells for metric in metrics_of_points(Yardstick(cell))}.values()]
     visible = columns(metrics["points"]["visible"] for metrics in every)

@@ -149,7 +149,7 @@ def masks_figure(run: Run) -> Figure | None:
 
     None without true masks, or if none can be predicted.
     """
-    dataset, folder = run.dataset, (run.metrics or {}).get("masks")
+    dataset, folder = run.dataset, run.metrics and run.metrics.get("masks")
     if folder is None:
         return None
     masks = read_masks(Path(folder), dataset)
