@@ -85,10 +85,10 @@ def test_parts_of_a_scene_become_one_mesh(tmp_path):
 
 
 def test_up_is_y_in_glb_files(tmp_path):
-    tower = trimesh.creation.box((1, 9, 2)).apply_translation((0, 4.5, 0))  # as any program for glTF draws it
+    tower = trimesh.creation.box((1, 9, 2)).apply_translation((0, 4.5, 0.5))  # as any program for glTF draws it
     tower.export(tmp_path / "tower.glb")
     mesh = load_mesh(tmp_path / "tower.glb")
-    assert mesh.bounds == pytest.approx(np.array([[-0.5, -1, 0], [0.5, 1, 9]]))
+    assert mesh.bounds == pytest.approx(np.array([[-0.5, -1.5, 0], [0.5, 0.5, 9]]))
 
 
 def test_bad_faces_are_dropped_with_their_number(tmp_path):
