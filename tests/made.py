@@ -22,6 +22,7 @@ from sarsplat.geometry import ImageGrid, Stack, View
 FEW_POINTS = replace(preset("default").points, voxel=0.3, rays_per_pixel=2.0)
 """Of small targets: points and their normals would otherwise take ten times as long as a short training."""
 
+SMALL = ImageGrid(16, 12, (0.3, 0.3), (0.4, 0.4))
 TINY = ImageGrid(6, 5, (0.2, 0.3), (0.25, 0.35), (1.0, -2.0))
 VIEWS = [
     (View(0.1, 15.0), "train"),
@@ -45,8 +46,7 @@ def dataset_of(
 def small_dataset(**fields: Any) -> Dataset:
     """Three images of 16 × 12 pixels of 0.3 m, one to train on."""
     views = [(View(0, 30), "train"), (View(90, 30), "test"), (View(180, 30), "test")]
-    grid = ImageGrid(16, 12, (0.3, 0.3), (0.4, 0.4))
-    return dataset_of(grid, views, np.ones((3, 16, 12), np.float32), ground=True, **fields)
+    return dataset_of(SMALL, views, np.ones((3, 16, 12), np.float32), ground=True, **fields)
 
 
 def small_mask() -> np.ndarray:
