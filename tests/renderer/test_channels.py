@@ -10,7 +10,7 @@ from named_scenes import GRID, VIEWS, cloud
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import NormalLobes
+from sarsplat.gaussians import Ground, NormalLobes
 from sarsplat.renderer import channel_of, render
 
 
@@ -39,6 +39,13 @@ def test_a_law_of_two_channels_from_end_to_end():
     assert found["image"].shape == (len(VIEWS), 2, GRID.rows, GRID.columns)
     check_agreement(found, expected)
     assert torch.equal(SCENE.gamma0(torch.eye(3)), SCENE.amplitudes(torch.eye(3))[..., 1])
+
+
+def test_the_ground_returns_power_alone():
+    ground = Ground(torch.tensor(0.3), height_m=-1.0)
+    alone, both = render(SCENE, VIEWS, GRID), render(SCENE, VIEWS, GRID, ground=ground)
+    assert torch.equal(both.images[:, 0], alone.images[:, 0])
+    torch.testing.assert_close(both.images[:, 1], alone.images[:, 1] + both.ground)
 
 
 def test_one_channel_of_a_rendering():
