@@ -87,8 +87,10 @@ class Optimiser:
         if self._adam is None:
             tensors = [self._stepped(name, tensor) for name, tensor in self._parameters.items()]
             new_pass, columns = passes_for("auto", self._parameters), max(len(tensor.rates) for tensor in tensors)
-            by_engine = new_pass is not None and new_pass().has("adam", {"columns": columns})
-            self._adam = EngineAdam(new_pass, tensors) if by_engine else PlainAdam(tensors)
+            if new_pass is not None and new_pass().has("adam", {"columns": columns}):
+                self._adam = EngineAdam(new_pass, tensors)
+            else:
+                self._adam = PlainAdam(tensors)
         return self._adam
 
     def numbers(self, iteration: int) -> list[float]:
