@@ -45,7 +45,7 @@ MISTAKES = {
     f"{SIMULATE} --isar 1 0 0.5": "along the line of sight",
     "simulate --out new --target satellite": "give the axis",
     f"simulate --target t72 {ONE_VIEW} --out full": "--overwrite",
-    "reconstruct nowhere --out new": "nowhere does not exist",
+    "reconstruct nowhere --out new": "nowhere: it does not exist",
     "reconstruct empty --out new": "empty is not a dataset",
     "reconstruct full --out new": "not a dataset",
     "reconstruct full --out new --resume --overwrite": "one of them",
