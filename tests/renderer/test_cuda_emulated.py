@@ -159,5 +159,5 @@ def test_tensors_that_the_engine_does_not_take():
     ):
         check_for_cuda({"means": on_gpu, "scales": torch.ones(3)})
     elsewhere = SimpleNamespace(dtype=torch.float32, device=torch.device("cuda", 1))
-    with pytest.raises(SarsplatError, match="gain is torch.float32 on cuda:1 but means is torch.float32 on cuda:0"):
+    with pytest.raises(SarsplatError, match=r"gain is torch.float32 on cuda:1 but means is torch.float32 on cuda:0"):
         check_for_cuda({"means": on_gpu, "gain": elsewhere})

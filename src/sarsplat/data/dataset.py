@@ -364,6 +364,7 @@ class Dataset:
         """
         return self.power[_part(self.indices(split))]
 
+    @checks_arguments
     def indices(self, split: str) -> list[int]:
         """Return the indices of the images of one set; raise if there is no such set."""
         chosen = [index for index, entry in enumerate(self.entries) if entry.split == split]
