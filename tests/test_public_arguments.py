@@ -166,7 +166,7 @@ def test_lists_of_numbers_are_as_good_as_arrays(tmp_path: Path) -> None:
     assert found == {"nx": [0.0], "ny": [0.0], "nz": [1.0], "weight": [0.5]}
     assert law_scattering([[0.0, 0.0, 1.0]], [VIEW], ScatteringLaw()).shape == (1, 1)
     for wrong in ([[0.0, 1.0]], [[0.0], [1.0, 2.0]]):
-        with pytest.raises(SarsplatError, match="^the points are"):
+        with pytest.raises(SarsplatError, match=r"^the points are"):
             write_points_ply(tmp_path / "p.ply", wrong)
 
 

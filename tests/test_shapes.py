@@ -10,9 +10,9 @@ from jaxtyping import Float
 import shapes
 from sarsplat import Gaussians, Harmonics, SarsplatError, View, radar_frame
 from sarsplat.evaluation.lpips import Lpips
-from sarsplat.gaussians import covariance as covariance_module
 from sarsplat.gaussians.gaussians import covariance, rotation_matrix
 from sarsplat.geometry.responses import GAUSSIAN
+from sarsplat.renderer import covariances
 from sarsplat.scenes._deposit import _Axis
 
 
@@ -56,5 +56,5 @@ def test_refusing_by_itself_is_fine():
 
 
 def test_names_imported_elsewhere_are_watched_too():
-    assert covariance_module.rotation_matrix is rotation_matrix
+    assert covariances.rotation_matrix is rotation_matrix
     assert hasattr(rotation_matrix, "__wrapped__")

@@ -89,7 +89,7 @@ def test_every_experiment_can_be_run_and_reported(made):
                 if "target_class" in dataset:
                     assert set(dataset) <= of_chips
                 else:
-                    parse(made.plans.simulation_words(Path("made"), {**dataset, "scene": None}))
+                    parse(made.plans.simulation_words(Path("made"), {**dataset, "scene": None, "hills": None}))
                 for angles in ("azimuth", "test_azimuth"):
                     assert views_from(dataset.get(angles, ("0",)), ("45",), ())
         small = found.in_small()

@@ -152,7 +152,7 @@ def test_a_method_is_not_taken_for_another(small_box, tmp_path, run_of):
         trained("dsr", small_box, tmp_path / "run", resume=True)
     header = tmp_path / "run" / "config.json"
     header.write_text(json.dumps({**json.loads(header.read_text()), "method": "magic"}))
-    with pytest.raises(SarsplatError, match="by the method 'magic'; give one by sar-gs, "):
+    with pytest.raises(SarsplatError, match="there is no method 'magic'; choose one of sar-gs, "):
         Run.load(tmp_path / "run")
     assert command(["reconstruct", str(small_box.path), "--out", str(tmp_path / "run"), "--resume"]) == 2
 

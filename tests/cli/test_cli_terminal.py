@@ -118,7 +118,7 @@ def test_commands_are_shown_alike_wherever_they_are_named(tmp_path, monkeypatch,
     monkeypatch.setattr(console, "program", lambda: "bin/sarsplat")
     (tmp_path / "empty").mkdir()
     assert main(["reconstruct", "empty", "--out", "new"]) == 2
-    assert "`bin/sarsplat simulate` or `bin/sarsplat import`" in capsys.readouterr().err
+    assert "make one with `bin/sarsplat simulate`" in capsys.readouterr().err
     console.warn("x/sarsplat view and what sarsplat did; see sarsplat view --help")
     told = capsys.readouterr().err
     assert told == "warning: x/sarsplat view and what sarsplat did; see bin/sarsplat view --help\n"

@@ -72,6 +72,7 @@ def at_most(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
 
 
+@pytest.mark.filterwarnings("ignore::sarsplat.errors.SarsplatWarning")  # of one view alone, for instance
 @pytest.mark.parametrize("reader", READERS, ids=lambda reader: reader.name)
 def test_valid_files_are_read(reader, places):
     path = places[reader.name] / reader.file

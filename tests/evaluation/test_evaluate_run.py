@@ -278,7 +278,7 @@ def test_no_mesh_no_points_and_black_pixels_are_results_not_errors(make):
         ({"alignment": "rigid"}, "has no true mesh to align the points to"),
         ({"lpips_weights": "here"}, r"here holds no usable LPIPS weights .*alexnet_features_torchvision\.npz"),
         ({WEIGHTS_VARIABLE: "absent"}, "absent holds no usable LPIPS weights"),
-        ({"masks": "absent"}, "is not a folder; give one that holds a mask for each image"),
+        ({"masks": "absent"}, "absent has no mask of any test image"),
     ],
 )
 def test_what_cannot_be_done_is_told_before_anything_is_rendered(make, tmp_path, monkeypatch, options, words):

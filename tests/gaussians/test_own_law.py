@@ -82,7 +82,7 @@ def test_without_registration_it_is_rendered_but_no_file_is_written(tmp_path: Pa
         )
     assert [path.name for path in tmp_path.iterdir()] == ["a.ply"]
     del SCATTERINGS._entries["fan"]
-    with pytest.raises(SarsplatError, match=r"a.ply: the scattering law 'fan' is unknown; .* or register yours"):
+    with pytest.raises(SarsplatError, match=r"a.ply has an invalid scattering law \(.*'fan.*is unknown"):
         read_gaussians_ply(tmp_path / "a.ply")
 
 

@@ -82,7 +82,7 @@ def test_pictures_without_azimuth_are_left_out_and_counted(tmp_path):
         made = import_pictures(folder)
     np.testing.assert_array_equal(made.power, POWER[[0, 2, 3]])
     write_pictures(tmp_path / "none", POWER, [[row[0], "", 30] for row in rows], "file,azimuth,grazing")
-    with pytest.raises(SarsplatError, match="line 2: azimuth is ''; it must be a number"):
+    with pytest.raises(SarsplatError, match="line 2: azimuth is ''; give a number"):
         import_pictures(tmp_path / "none")
 
 

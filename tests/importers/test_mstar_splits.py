@@ -231,7 +231,7 @@ def test_one_command_makes_a_dataset_of_each_class_a_plan_and_says_what_is_missi
     said = capsys.readouterr()
     assert "D7: there is no class 'D7'" in said.err and "cannot write" not in said.err and "wrote" not in said.out
     assert main([*words, "--split", "soc", "--serial", "132"]) == 2
-    assert "leave out --serial" in capsys.readouterr().err
+    assert "but --serial was given" in capsys.readouterr().err
     assert main(words) == 2
     assert "--class is missing" in capsys.readouterr().err
 

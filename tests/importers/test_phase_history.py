@@ -227,7 +227,7 @@ def test_the_command(files, tmp_path, capsys):
     assert peak(dataset[0].signal, dataset.grid) == pytest.approx((0, 0), abs=0.02)
     for wrong, said in (
         ("--around=here", "write it as 12,-7.5"),
-        ("--size=wide", "is not a valid length"),
+        ("--size=wide", "is not a number; write it as 64"),
     ):
         assert main(["import", "phase-history", *words, "--overwrite", wrong]) == 2
         assert said in capsys.readouterr().err

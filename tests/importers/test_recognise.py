@@ -39,7 +39,7 @@ def test_pictures_with_a_table(tmp_path, capsys):
     table.write_bytes("Höhe\n1\n".encode("latin-1"))
     assert "byte 1 is not UTF-8; save" in known(tmp_path, "folder").facts["table"]
     assert main(["reconstruct", str(tmp_path), "--out", str(tmp_path / "run")]) == 2
-    assert f"`sarsplat info {tmp_path}` says how to import images in it" in capsys.readouterr().err
+    assert f"by an import, which `sarsplat info {tmp_path}` recommends" in capsys.readouterr().err
 
 
 def test_the_sample_set(tmp_path):

@@ -78,7 +78,7 @@ CPHD: list[tuple[Spoil | dict, str]] = [
     (changed("<DomainType>FX", "<DomainType>XF"), "the domain 'XF'"),
     (changed("<SGN>-1", "<SGN>2"), "sign 2"),
     (changed("<ECF><X>[^<]*", "<ECF><X>nan"), "no valid reference point"),
-    (changed("<ECF><X>[^<]*", "<ECF><X>9e9"), "the reference point of the scene: the height"),
+    (changed("<ECF><X>[^<]*", "<ECF><X>9e9"), "the reference point of the scene: height_m"),
     (changed("<ImageArea>.*</ImageArea>", ""), "no valid ImageArea"),
     (changed("<CODId>c", "<CODId>e"), "no dwell times .CODTime."),
     (changed("(<CODTimePoly.*?exponent2=.0.>)[^<]*", r"\g<1>1e5"), "no pulses saw all of the image"),
@@ -172,7 +172,7 @@ MIDDLE = r"the middle of image\.nitf is `pixel=\(150, 140\)`, or `around=\(47\.3
         ({"around": (-47.3, -171.0)}, f"does not show the spot .*; {MIDDLE}"),
         ({"pixel": (400.0, 10.0)}, r"is outside .* 300 rows and 280 columns, .*`pixel=\(150, 140\)`"),
         ({"pixel": (1.0, 1.0), "around": (47.3, 8.5)}, "give one of them"),
-        ({"around": (147.3, 8.5)}, "is no place on earth"),
+        ({"around": (147.3, 8.5)}, "latitude_deg 147.3 of a place on earth"),
         ({"heading_deg": 400.0}, "must be a compass heading"),
     ],
 )

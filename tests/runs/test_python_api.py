@@ -188,7 +188,7 @@ def test_quiet_is_quiet(dataset: Dataset, short: Config, capsys: pytest.CaptureF
         ({"preset": replace(preset("default"), loss="amplitud")}, "loss 'amplitud' is unknown; did you mean amplitude"),
         ({"device": "cuda"}, "install .*, or use the CPU"),
         ({"preset": "defualt"}, "preset 'defualt' is unknown"),
-        ({"dataset": "nowhere"}, "does not exist; make one"),
+        ({"dataset": "nowhere"}, "nowhere: it does not exist"),
     ],
 )
 def test_refusals(dataset: Dataset, options: dict[str, str], words: str) -> None:

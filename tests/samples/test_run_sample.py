@@ -182,6 +182,6 @@ def test_ground_as_a_picture_shows_it(run: Run, tmp_path: Path) -> None:
     assert again.tolist() == near[:2].tolist()
     Image.fromarray(picture[:20]).save(tmp_path / "small.png")
     Image.fromarray(picture * 0).save(tmp_path / "black.png")
-    for name, words in (("small", "has 20 × 36 pixels, fewer"), ("black", "is black"), ("none", "does not exist")):
+    for name, words in (("small", "at least 32 × 36 pixels"), ("black", "is black"), ("none", "does not exist")):
         with pytest.raises(SarsplatError, match=words):
             run.sample(VIEW, ground=backdrop_of(tmp_path / f"{name}.png", run.grid))

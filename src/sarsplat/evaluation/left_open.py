@@ -1,4 +1,4 @@
-"""What images leave open: heights that they do not determine, and objects that they show and the points lack.
+"""Heights that the images do not determine, and objects that the images show and the points lack.
 
 By Fisher information: if a surface moved along its normals, images would change at its edges and texture, but not
 inside a uniform roof. The information on a place's height is the change of the images by its surroundings, relative to

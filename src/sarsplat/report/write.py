@@ -173,11 +173,12 @@ def _truth(run: Run) -> tuple[Path | None, Alignment]:
 def _mesh(run: Run) -> Figure | None:
     truth, motion = _truth(run)
     try:
-        mesh = run.mesh().copy()
+        mesh = run.mesh()
     except SarsplatError:  # the evaluation gives the reason
         return None
     if len(mesh.faces) == 0:
         return None
+    mesh = mesh.copy()
     mesh.vertices = motion.moved(mesh.vertices)
     text = "The surface through the points, shaded (sarsplat export writes it). It is open where no view looked"
     beside = "; the true surface is whole." if truth else "."

@@ -35,6 +35,8 @@ _FARTHEST = 1e9
 """Maximum distance of a vertex from the origin, m: beyond any mistaken unit, with a finite square."""
 _LARGEST = {"binary": 1 << 28, ".obj": 1 << 25, ".stl": 1 << 25, ".off": 1 << 24, ".ply": 1 << 24}
 """Maximum size of binary files, and of text, bytes: trimesh needs 50 times (.obj, .stl) to 80 times as much memory."""
+_HEAD = 1 << 12
+"""Bytes that tell a binary file from text."""
 _FREE_NUMBERS = 100_000
 """Count of numbers to which a .glb file of any size may expand."""
 _LONGEST_SCENE = 1 << 20
@@ -162,18 +164,19 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
             raise SarsplatError(f"there is no mesh file at '{path}'; give the path of an {', '.join(_FORMATS)} file")
         size = path.stat().st_size
         with path.open("rb") as file:
-            data = file.read(_LARGEST["binary"])
+            head = file.read(_HEAD)
+            binary = kind == ".glb" or _is_binary(kind, head, size)
+            if size > _LARGEST["binary" if binary else kind]:
+                of_text = "" if binary else " of text"
+                raise SarsplatError(
+                    f"'{path}' has {size} bytes{of_text}; simplify the mesh, or write it as .glb or binary .ply"
+                )
+            data = head + file.read(_LARGEST["binary"])
     except (OSError, MemoryError) as error:
         raise SarsplatError(f"cannot read '{path}': {error}; check the path and its permissions") from error
     if kind == ".ply" and re.match(rb"ply\r[^\n]", data):  # lines that end in CR alone
         header, end, body = data.partition(b"end_header\r")
         data = (header + end).replace(b"\r", b"\n") + body
-    binary = kind == ".glb" or _is_binary(kind, data)
-    if size > _LARGEST["binary" if binary else kind]:
-        of_text = "" if binary else " of text"
-        raise SarsplatError(
-            f"'{path}' has {size} bytes{of_text}; simplify the mesh, or write it as .glb or binary .ply"
-        )
     try:
         if kind == ".glb":
             _check_glb(data)
@@ -220,10 +223,10 @@ def _read_with_trimesh(path: Path, kind: str, data: bytes) -> trimesh.Trimesh:
     return mesh
 
 
-def _is_binary(kind: str, data: bytes) -> bool:
+def _is_binary(kind: str, head: bytes, size: int) -> bool:
     if kind == ".stl":
-        return len(data) == 84 + 50 * int.from_bytes(data[80:84], "little")
-    return kind == ".ply" and not re.match(rb"[^\n]*\n[^\n]*ascii", data, re.IGNORECASE)  # trimesh's criterion
+        return size == 84 + 50 * int.from_bytes(head[80:84], "little")
+    return kind == ".ply" and not re.match(rb"[^\r\n]*[\r\n]+[^\r\n]*ascii", head, re.IGNORECASE)  # trimesh's criterion
 
 
 def _plain_text(kind: str, data: bytes) -> bytes:

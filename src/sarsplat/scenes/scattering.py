@@ -29,7 +29,7 @@ _MAX_SPREAD_DB = 10.0
 
 
 def generator(seed: int, purpose: Literal["speckle", "reflectivity", "views", "scatterers"]) -> np.random.Generator:
-    """Make the random generator for one purpose, which has a stream of its own; raise if the seed is negative."""
+    """Make the random generator for one purpose, independent of the others; raise if the seed is negative."""
     check_number("`seed`", seed, 0)
     return np.random.default_rng([seed, *_STREAMS[purpose]])
 

@@ -354,7 +354,7 @@ class Passes(Record):
 
 
 def _refuse_tiny(record: Record, *names: str) -> None:
-    """Raise if one of these settings is above 0, but its squares and reciprocals would leave float32."""
+    """Raise for settings above 0 whose squares and reciprocals would leave float32."""
     for name in names:
         if 0 < (value := getattr(record, name)) < LEAST:
             raise SarsplatError(f"{record._section}{name} is {value:g}; give at least {LEAST:g}, or 0 to switch it off")
