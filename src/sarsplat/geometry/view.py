@@ -73,8 +73,8 @@ class View:
             value = getattr(self, field)
             if not is_number(value):
                 raise SarsplatError(
-                    f"{name} is {described(value)}; give a number (views have no gradients: instead of a view, turn the "
-                    "means of Gaussians)"
+                    f"{name} is {described(value)}; give a number (views have no gradients: instead of a view, turn "
+                    "the means of Gaussians)"
                 )
             object.__setattr__(self, field, float(value))  # JSON cannot hold numpy's numbers
         expect(bool, aloft=self.aloft)
