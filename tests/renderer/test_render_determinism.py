@@ -2,6 +2,7 @@
 
 import gc
 import os
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -44,7 +45,7 @@ def gains_of_one_large_image() -> dict[str, torch.Tensor]:
     return {"gains": torch.cat([torch.autograd.grad(images, gain, seed, retain_graph=True)[0] for seed in seeds])}
 
 
-CALLS = {
+CALLS: dict[str, Callable[[], dict[str, torch.Tensor]]] = {
     **{name: partial(lambda make: everything(make(), render, {}, engine="cpu"), make) for name, make in SCENES.items()},
     "steps of many": lambda: everything(MATRIX["many"](), partial(chained, Steps(cpu.Pass)), {}),
     "steps of many views": lambda: everything(MATRIX["many views"](), partial(chained, Steps(cpu.Pass)), {}),
