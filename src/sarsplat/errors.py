@@ -32,7 +32,7 @@ def counted(number: int, noun: str) -> str:
 
 def shown(value: object) -> str:
     """Quote any value for an error: printable, at most 120 characters."""
-    text = repr(value)
+    text = repr(value).replace("`", "'")  # names in backquotes are our parameters
     return text if len(text) <= 120 else text[:119] + "…"
 
 

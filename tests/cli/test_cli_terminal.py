@@ -137,7 +137,12 @@ def test_commands_are_shown_alike_wherever_they_are_named(tmp_path, monkeypatch,
         ("give `target_class`, `calibration='absolute'` or looks=None", "give --class, --calibrated or --looks 0"),
         ("set `points.rays_per_pixel`, or texture=None", "set --points.rays-per-pixel, or --texture off"),
         ("seed=0/x=True exists; engine='cpu'", "seed=0/x=True exists; engine='cpu'"),
-        ("missing required field `views`; `sarsplat check x`", "missing required field `views`; `sarsplat check x`"),
+        (
+            "object missing required field 'views'; `sarsplat check x`",
+            "object missing required field 'views'; `sarsplat check x`",
+        ),
+        ("say `columns={'incidence': 'Angle (deg)'}`", "say --columns 'incidence=Angle (deg)'"),
+        ("ground=True/run and a,looks=None.png do not exist", "ground=True/run and a,looks=None.png do not exist"),
     ],
 )
 def test_parameters_are_options(message: str, shown: str) -> None:

@@ -72,7 +72,7 @@ def test_what_sarsplat_writes_fits_the_schema(tmp_path):
     ("place", "value", "words"),
     [
         (("unit",), "dB", "unit is 'dB'"),
-        (("more",), 1, "unknown field `more`"),
+        (("more",), 1, "unknown field 'more'"),
         (("views",), [], "at least one image"),
         (("views", 0, "split"), "validation", "split 'validation'"),
         (("views", 0, "grazing_deg"), 90, "grazing angle 90"),

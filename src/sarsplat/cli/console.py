@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import re
 import shlex
@@ -21,11 +22,9 @@ from sarsplat.cli.commands import COMMANDS
 
 _WIDEST = 200  # columns
 
-_PARAMETER = re.compile(
-    r"(?<!field )`(?P<name>[a-z][a-z0-9_.]+)(?:=(?P<value>[^`]*))?`"  # not msgspec's: "missing required field `views`"
-    r"|(?<![\w./=-])(?P<bare>[a-z][a-z0-9_]+)=(?P<literal>True|False|None|'[^']*'|\"[^\"]*\")(?!\w)"
-)
-"""A Python parameter in a message: `name` or `name=value` in backquotes, or name=True, =False, =None or ='text'."""
+_QUOTED = r"`(?P<name>[a-z][a-z0-9_.]+)(?:=(?P<value>[^`]*))?`"
+_BARE = r"(?<![\w./=,-])(?P<bare>[a-z][a-z0-9_]+)=(?P<literal>True|False|None|'[^']*'|\"[^\"]*\")(?!\w|[/.,]\S)"
+"""Python parameters in messages: `name` or `name=value` in backquotes; name=True, =False, =None or ='text' without."""
 
 _RENAMED = {"alignment": "align", "azimuths_deg": "azimuth", "ground_gamma0": "ground", "target_class": "class"}
 """Options that are not named like the library's parameters, besides units."""
@@ -90,12 +89,12 @@ def _near(path: Path) -> str:
 
 def complain(text: str) -> None:
     """Print an error on stderr."""
-    _print(Console(stderr=True), f"[bold red]error:[/] {_safe(text)}")
+    _print(Console(stderr=True), f"[bold red]error:[/] {_safe(as_options(text))}")
 
 
 def warn(text: str) -> None:
     """Print a warning on stderr."""
-    _print(Console(stderr=True), f"[yellow]warning:[/] {_safe(text)}")
+    _print(Console(stderr=True), f"[yellow]warning:[/] {_safe(as_options(text))}")
 
 
 @contextmanager
@@ -111,8 +110,9 @@ def busy(text: str) -> Iterator[None]:
 
 
 def _safe(text: str) -> str:
-    """Escape markup and control characters, and word parameters as options and `sarsplat` as in the calling shell."""
-    return escape("".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in _typed(as_options(text))))
+    """Escape markup and control characters; word parameters in backquotes as options, and `sarsplat` as in a shell."""
+    worded = _typed(as_options(text, _QUOTED))  # paths may look like bare ones
+    return escape("".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in worded))
 
 
 def option_name(parameter: str) -> str:
@@ -121,13 +121,14 @@ def option_name(parameter: str) -> str:
     return _RENAMED.get(parameter, plain.replace("_", "-"))
 
 
-def as_options(text: str) -> str:
-    """Word the parameters in a message of the library (`_PARAMETER`) as options: `ground=False` is --no-ground."""
-    return _PARAMETER.sub(_as_option, text)
+def as_options(text: str, parameters: str = f"{_QUOTED}|{_BARE}") -> str:
+    """Word the parameters in a message of the library as options: `ground=False` is --no-ground."""
+    return re.sub(parameters, _as_option, text)
 
 
 def _as_option(found: re.Match[str]) -> str:
-    parameter, value = found["name"] or found["bare"], found["value"] or found["literal"]
+    groups = found.groupdict()
+    parameter, value = groups["name"] or groups["bare"], groups["value"] or groups.get("literal")
     if parameter in _PYTHON_ONLY:
         return found[0]
     if value is not None and (special := _SPECIAL.get(f"{parameter}={value}")) is not None:
@@ -140,7 +141,13 @@ def _as_option(found: re.Match[str]) -> str:
             return f"--no-{name}"
         case "None":
             return f"--{name} off"
-    words = re.sub(r"['\"(){}\[\]]", "", value).replace(": ", "=").split(", ")
+    try:
+        literal = ast.literal_eval(value)
+    except (SyntaxError, ValueError):  # a placeholder, such as NAME
+        literal = re.sub(r"['\"(){}\[\]]", "", value).replace(": ", "=").split(", ")
+    if isinstance(literal, dict):
+        literal = [f"{key}={its}" for key, its in literal.items()]
+    words = [shlex.quote(str(word)) for word in (literal if isinstance(literal, list | tuple) else [literal])]
     return f"--{name}={','.join(words)}" if name in _COMMA_SEPARATED else f"--{name} {' '.join(words)}"
 
 

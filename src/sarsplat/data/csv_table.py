@@ -127,6 +127,8 @@ def _reader(text: str, separator: str) -> Any:
 
 def _decoded(data: bytes, errors: str = "strict") -> str:
     """Decode a table, without byte-order mark and without a first line such as `sep=;`."""
+    if b"\0" in data[:1]:
+        raise UnicodeDecodeError("utf-8", data, 0, 1, "it looks like UTF-16")
     encodings = {codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
     text = data.decode(encodings.get(data[:2], "utf-16-le" if data[1:2] == b"\0" else "utf-8-sig"), errors)
     return text[text.find("\n") :] if text[:4].lower() == "sep=" else text

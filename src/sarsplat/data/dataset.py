@@ -257,6 +257,8 @@ class Dataset:
             if count != len(every):
                 raise SarsplatError(f"{name} holds {count} values for {len(every)} images; give one for each")
         signals = [image.signal for image in every if image.signal is not None]
+        if 0 < len(signals) < len(every):
+            raise SarsplatError(f"{len(signals)} of {len(every)} images have their phase; give all with it, or none")
         digits = max(3, len(str(len(every) - 1)))
         entries = tuple(
             DatasetEntry(image.view, "train" if index < len(images) else "test", f"{index:0{digits}d}", std, turn=turn)

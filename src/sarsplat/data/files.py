@@ -259,6 +259,7 @@ def _named_field(data: bytes, complaint: str) -> str:
     reason, _, field = complaint.partition(" - at `$")
     field = field.removesuffix("`").removeprefix(".")
     reason = "".join(letter if letter.isprintable() else "?" for letter in reason[:1].lower() + reason[1:])[:200]
+    reason = reason.replace("`", "'")  # names in backquotes are our parameters
     if not field:
         return reason
     try:

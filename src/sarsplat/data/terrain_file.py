@@ -127,11 +127,13 @@ def read_heights(path: str | Path) -> MapHeights:
                 f"{path} names no coordinate system; give it one, as by gdal_translate -a_srs EPSG:NUMBER"
             )
         _refuse_units(path, crs, file.units[0])
-        if transform.is_identity or transform.b or transform.d or transform.a < 0:
+        if transform.is_identity:
             raise SarsplatError(
-                f"{path} has no pixel size, or is rotated against its system's axes; give it one by gdal_translate "
-                "-a_srs EPSG:326xx -a_ullr LEFT TOP RIGHT BOTTOM, or straighten it by gdalwarp"
+                f"{path} has no pixel size; give it one, as by gdal_translate -a_srs EPSG:326xx -a_ullr LEFT TOP RIGHT "
+                "BOTTOM"
             )
+        if transform.b or transform.d or transform.a < 0:
+            raise SarsplatError(f"{path} is rotated against its system's axes; straighten it, as by gdalwarp")
         values = file.read(1, masked=True).astype(np.float64).filled(np.nan) * file.scales[0] + file.offsets[0]
         level = file.tags().get(geotiff.HEIGHTS_ABOVE)
     values[~np.isfinite(values)] = np.nan
@@ -160,15 +162,14 @@ def _refuse_units(path: Path, crs: Any, unit: str | None) -> None:
     wrong = [
         f"{axis.direction} in units called {axis.unit_name}"
         for axis in axes
-        if axis.unit_conversion_factor != 1 or axis.direction == "down"
+        if axis.unit_conversion_factor != 1 or axis.direction == "down" or crs.is_geographic
     ]
     if (unit or "").lower() not in _METRES:
         wrong.append(f"upwards in {shown(unit)}")
     if wrong:
-        raise SarsplatError(
-            f"{path} is measured {wrong[0]}; convert it to metres (upwards), as by gdalwarp -t_srs EPSG:326xx (the UTM "
-            "zone)"
-        )
+        degrees = "degree" in wrong[0]  # gdalwarp leaves heights as they are
+        how = "gdalwarp -t_srs EPSG:326xx (the UTM zone)" if degrees else "gdal_calc for heights, gdalwarp for the rest"
+        raise SarsplatError(f"{path} is measured {wrong[0]}; convert all of it to metres (upwards), as by {how}")
 
 
 def _height_above(crs: Any) -> HeightAbove | None:

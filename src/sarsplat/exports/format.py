@@ -99,6 +99,7 @@ def content_of(run: Run, content: Content) -> tuple[Any, str]:
                     "mesh, such as with --format points to a .ply file"
                 )
             data, count, noun, frame = run.gaussians, len(run.gaussians), "Gaussian", ""
+            longer = "reconstruct it again, or look at its report"
         case "points":
             data = Points(run.points.astype(np.float32), run.normals, run.points_gamma0, run.place)
             count, noun, frame = len(run.points), "point", ", metres, in the target's own frame"

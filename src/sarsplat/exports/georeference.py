@@ -92,7 +92,7 @@ class MapSystem:
             raise SarsplatError(
                 f"coordinates of maps need pyproj, which is not installed; {install_command('gis')}"
             ) from error
-        name, another = crs or usual_system(place), f"give another, such as {usual_system(place)}"
+        name, another = usual_system(place) if crs is None else crs, f"give another, such as {usual_system(place)}"
         try:
             found = pyproj.CRS.from_user_input(name)
         except pyproj.exceptions.CRSError as error:

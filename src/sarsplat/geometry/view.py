@@ -10,7 +10,7 @@ from typing import Self, get_args
 import numpy as np
 from jaxtyping import Float64
 
-from sarsplat.arguments import checks_arguments, described, expect, is_number
+from sarsplat.arguments import checks_arguments, described, is_number
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry.grids import ImageGrid
 from sarsplat.geometry.look import Look
@@ -77,7 +77,8 @@ class View:
                     "the means of Gaussians)"
                 )
             object.__setattr__(self, field, float(value))  # JSON cannot hold numpy's numbers
-        expect(bool, aloft=self.aloft)
+        if not isinstance(self.aloft, bool):  # a stretch may be meant
+            raise SarsplatError(f"aloft is {described(self.aloft)}; give True or False")
         lowest = -90.0 if self.aloft else 0.0
         if not lowest < self.grazing_deg < 90.0:  # also catches NaN
             raise SarsplatError(

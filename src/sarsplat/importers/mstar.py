@@ -237,7 +237,7 @@ def _one_vehicle(chips: list[Chip], target_class: str, serial: str | None) -> li
 
 def _check(train_views: int | Literal["all"], depressions: Sequence[int]) -> None:
     """Raise if no chips can satisfy these numbers."""
-    number = train_views == "all" or (isinstance(train_views, int) and train_views >= 1)
+    number = train_views == "all" or (not isinstance(train_views, str) and train_views >= 1)
     if not number or not depressions or len(set(depressions)) < len(depressions):
         raise SarsplatError(
             f"`train_views` is {train_views!r} and `train_depression` {list(depressions)}; give a number from 1 or "

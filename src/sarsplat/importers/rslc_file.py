@@ -219,7 +219,7 @@ def _dataset(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
         if not isinstance(at, h5py.Group) or part not in at:
             _refuse(path, f"has no {name}")
         if not isinstance(at.get(part, getlink=True), h5py.HardLink):
-            _refuse(path, f"has {name} elsewhere, by a link")
+            _refuse(path, f"has {name} elsewhere, by a link, not in the file itself")
         at = at[part]
     if not isinstance(at, h5py.Dataset) or at.shape is None:
         _refuse(path, f"has no array {name}")

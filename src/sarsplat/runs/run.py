@@ -155,7 +155,11 @@ class Run(Result):
         """
         path = Path(path)
         header = read_header(path)
-        config = method_named(header.method).settings.of_run(header.config, str(path / HEADER))
+        try:
+            method = method_named(header.method)
+        except SarsplatError as error:
+            raise SarsplatError(f"{path / HEADER}: {error}") from error
+        config = method.settings.of_run(header.config, str(path / HEADER))
         if dataset is not None and header.dataset_fingerprint not in ("", dataset.fingerprint()):
             raise SarsplatError(f"{path} was made from another dataset than {dataset}; give the one it was made from")
         where = None if header.dataset is None else Path(header.dataset)

@@ -269,8 +269,9 @@ def read_header(path: Path) -> Header:
     header = path / HEADER
     if not header.is_file():
         if (path / "dataset.json").is_file():
-            made = f"`sarsplat reconstruct {path} --out {path}-run` makes"
-            raise SarsplatError(f"{path} is a dataset, not a run; give a run of it, which {made}")
+            run = f"{path}-run"
+            made = f"such as {run}" if Path(run).exists() else f"which `sarsplat reconstruct {path} --out {run}` makes"
+            raise SarsplatError(f"{path} is a dataset, not a run; give a run of it, {made}")
         what = f"is no folder with {HEADER}, so it is not a run" if path.exists() else "does not exist"
         raise SarsplatError(f"{path} {what}; make one with `sarsplat reconstruct DATASET --out DIR`")
     data = read_json(header, dict[str, Any])
