@@ -109,7 +109,7 @@ def scene_of(dataset: Dataset, masks: Masks | None = None) -> Scene:
     if not np.float32(unit):
         raise SarsplatError(f"the training images of {dataset} are black everywhere; simulate or import again")
     if dataset.terrain is not None:
-        raise SarsplatError(f"{dataset} has terrain, and this method knows level ground only; use --method sar-gs")
+        raise SarsplatError(f"{dataset} has terrain, and this method knows level ground only; use `method='sar-gs'`")
     region = target_region(dataset, ground=dataset.ground)
     return Scene(
         train.views,

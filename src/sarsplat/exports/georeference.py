@@ -49,7 +49,7 @@ _ABOUT = (
     "geocentric position, m, if height_m is above the ellipsoid."
 )
 _MAKE_ONE = (
-    "import SICDs or CPHD, or a terrain with a coordinate system (--terrain), or tell the dataset in Python with "
+    "import SICDs or CPHD, or a terrain with a coordinate system (`terrain`), or tell the dataset in Python with "
     "replace(dataset, place=sarsplat.Place(LATITUDE, LONGITUDE, HEIGHT)), and reconstruct that; of a file of Gaussians "
     "that was exported, keep FILE.place.json beside it"
 )
@@ -96,10 +96,10 @@ class MapSystem:
         try:
             found = pyproj.CRS.from_user_input(name)
         except pyproj.exceptions.CRSError as error:
-            raise SarsplatError(f"--crs {shown(name)} is not a known coordinate system; {another}") from error
+            raise SarsplatError(f"`crs` {shown(name)} is not a known coordinate system; {another}") from error
         if not found.is_projected or [axis.unit_conversion_factor for axis in found.axis_info] != [1, 1]:
             raise SarsplatError(
-                f"--crs {name} ({found.name}) is not in metres on a plane, without heights, which are not converted; "
+                f"`crs` {name} ({found.name}) is not in metres on a plane, without heights, which are not converted; "
                 f"{another}"
             )
         made = cls(place, found)
@@ -107,10 +107,10 @@ class MapSystem:
         projected = made.to_map(points)
         if not np.isfinite(projected).all() or not np.abs(made.to_scene(projected) - points).max() < _MAX_ROUND_TRIP_M:
             raise SarsplatError(
-                f"--crs {found.name} cannot show {place.latitude_deg:.4f}°, {place.longitude_deg:.4f}°; {another}"
+                f"`crs` {found.name} cannot show {place.latitude_deg:.4f}°, {place.longitude_deg:.4f}°; {another}"
             )
         if (outside := far_outside(found, place, 0.0)) is not None:
-            warnings.warn(f"--crs {name} ({found.name}), {outside}, or {another}", SarsplatWarning, stacklevel=4)
+            warnings.warn(f"`crs` {name} ({found.name}), {outside}, or {another}", SarsplatWarning, stacklevel=4)
         return made
 
     @property
@@ -132,7 +132,7 @@ class MapSystem:
             operations = TransformerGroup("EPSG:4979", self.crs, always_xy=True, area_of_interest=area).transformers
         if not operations or "ballpark" in operations[0].description.lower():
             raise SarsplatError(
-                f"--crs {self.crs.name} has another datum than WGS 84, and nothing that is installed relates the two "
+                f"`crs` {self.crs.name} has another datum than WGS 84, and nothing that is installed relates the two "
                 f"at {latitude:.4f}°, {longitude:.4f}°: it may be some hundred metres away; give another, such as "
                 f"{usual_system(self.place)}"
             )
@@ -145,7 +145,7 @@ class MapSystem:
         known = np.stack([east, north])[:, np.isfinite(east) & np.isfinite(north)]
         if known.size and np.ptp(known, axis=1).max() > _CUT_M:
             raise SarsplatError(
-                f"--crs {self.crs.name} is cut in two within the scene, as along the date line, and would show parts "
+                f"`crs` {self.crs.name} is cut in two within the scene, as along the date line, and would show parts "
                 f"at both ends of the earth; give another, such as {usual_system(self.place)}"
             )
         return np.stack([east, north, height], axis=-1)
@@ -214,7 +214,7 @@ def refuse_elsewhere(path: Path, coordinates: Coordinates, name: str, place: Pla
     """Raise for a map's system if the file has other coordinates, and for map coordinates without georeference."""
     if crs is not None and coordinates != "map":
         what = "longitudes and latitudes" if coordinates == "degrees" else "the scene's own coordinates"
-        raise SarsplatError(f"{path} will hold {what}; leave out --crs, or export points to a .las or .laz file")
+        raise SarsplatError(f"{path} will hold {what}; leave out `crs`, or export points to a .las or .laz file")
     if place is None and (crs is not None or coordinates == "degrees"):
         raise SarsplatError(f"{name} has no georeference; {_MAKE_ONE}")
 

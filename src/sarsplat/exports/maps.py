@@ -168,7 +168,7 @@ def _uppermost(run: Run, coordinates: Coordinates, pixel_m: float | None, *, bri
     if not pixel * least >= apart:
         raise SarsplatError(
             f"pixels of {pixel:g} m are finer than the points of the surface are apart ({apart / least:.2g} m); give "
-            f"--pixel {float(f'{max(cell, 2 * apart) / least:.2g}'):g} or more"
+            f"`pixel_m={float(f'{max(cell, 2 * apart) / least:.2g}'):g}` or more"
         )
     gamma0 = run.points_gamma0 if brightness else np.zeros(len(points))
     if gamma0 is None:
@@ -263,14 +263,14 @@ def _counted(
     largest = float(max(counts))
     if largest > _MOST_PIXELS:
         raise SarsplatError(
-            f"a map with a side of {largest:.0f} pixels of {pixel:g} m is too large; give a larger --pixel, such as "
+            f"a map with a side of {largest:.0f} pixels of {pixel:g} m is too large; give a larger `pixel_m`, such as "
             f"{2 * largest * pixel / _MOST_PIXELS:.2g}"
         )
     one, other = map(int, counts)
     needed = each_bytes * one * other + more_bytes
     larger = _LARGER * pixel * math.sqrt(max(1.0, needed / max(free_bytes(), 1.0)))
     work = f"a map of {one} × {other} pixels of {pixel:g} m"
-    required(work, needed, f"give a larger --pixel, such as {larger:.2g}")
+    required(work, needed, f"give a larger `pixel_m`, such as {larger:.2g}")
     return one, other
 
 

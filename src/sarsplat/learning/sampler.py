@@ -89,8 +89,8 @@ class Sampler:
         smaller = ground.ndim != 2 or ground.shape[0] < grid.rows or ground.shape[1] < grid.columns
         if smaller or not ((ground >= 0) & (ground < math.inf)).all():
             raise SarsplatError(
-                f"the ground is {list(ground.shape)} numbers, or not all are finite and 0 or more; give power of at "
-                f"least {grid.rows} × {grid.columns} pixels, as the images have"
+                f"the ground is {list(ground.shape)} numbers, too few, negative or not finite; give power of at least "
+                f"{grid.rows} × {grid.columns} pixels, as the images have"
             )
         self._backdrop = torch.from_numpy(ground).repeat_interleave(self._parts, 0).repeat_interleave(self._parts, 1)
 

@@ -113,7 +113,7 @@ def require_output(out: Path, views: int) -> None:
             f"{out} holds one image but {views} views were asked for; give one view, or the name of a folder"
         )
     if ending in ANIMATIONS and views < 2:
-        raise SarsplatError(f"{out} is an animation but one view was asked for; give more of them, or --sweep azimuth")
+        raise SarsplatError(f"{out} is an animation but one view was asked for; give more, or `sweep='azimuth'`")
 
 
 def require_distinct(views: list[View]) -> None:

@@ -170,7 +170,7 @@ def _require_fit(path: Path, dataset: Dataset, encoding: Encoding, before: dict[
     if any(entry.stack is not None for entry in dataset.entries):
         raise SarsplatError(f"{path} holds stacks; give datasets of single images")
     if not dataset.target:
-        raise SarsplatError(f"{path} does not name its target; import it with --class NAME")
+        raise SarsplatError(f"{path} does not name its target; import it with `target_class=NAME`")
     if encoding.quantity == "complex" and dataset.signal is None:
         raise SarsplatError(f"{path} has no phases, so its chips cannot be complex; choose magnitude or power")
     encoding.require_room(grid, str(path))
