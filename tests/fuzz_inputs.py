@@ -6,14 +6,12 @@ import random
 import re
 import struct
 import tempfile
-import zlib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 import safetensors.torch
-import scipy.io
 import tifffile
 import torch
 import trimesh
@@ -24,11 +22,9 @@ import fuzz_pictures as pics
 import fuzz_radar_files as radar
 import sicds
 from chip_files import COLUMNS, phoenix_bytes
-from fuzz_mutations import FLOATS, NUMBERS, Mutation, spoil_bytes, spoil_json
+from fuzz_mutations import NUMBERS, Mutation, spoil_bytes, spoil_json
 from fuzz_radar_files import written
 from made import dataset_of
-from pulses import FREQUENCIES, circle, record
-from rslcs import halves, write_rslc
 from sarsplat.data import (
     load_checkpoint,
     read_dataset,
@@ -43,14 +39,9 @@ from sarsplat.data import (
 from sarsplat.data.ply import SPLAT
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.geometry.responses import Taylor
-from sarsplat.importers import import_rslc, read_phoenix
-from sarsplat.importers.history_gotcha import read_gotcha
+from sarsplat.importers import read_phoenix
 from sarsplat.importers.mat import read_mat
 from sarsplat.importers.mstar_chips import read_chips
-from sarsplat.importers.phase_apertures import apertures
-from sarsplat.importers.phase_history import flights
-from sarsplat.importers.phase_history_images import focus
 from sarsplat.runs.run import Run
 from sarsplat.runs.run_folder import SCHEMA_VERSION
 from sarsplat.scenes import load_mesh
@@ -368,79 +359,6 @@ def _read_chips(folder: Path) -> object:
     return [chip.magnitude for chip in read_chips(folder / "chips", folder / "labels.csv", "T72")]
 
 
-# ---- RSLC files ----
-
-
-def _rslcs() -> list[bytes]:
-    image = np.random.default_rng(0).normal(size=(40, 30, 2)) @ [1, 1j]
-    images = {name: halves(image) for name in ("HH", "HV", "VV")}
-    return [written(lambda path: write_rslc(path, images)), written(lambda path: write_rslc(path, {"HH": image}))]
-
-
-def _read_rslc(folder: Path) -> object:
-    return import_rslc(folder / "a.h5", folder / "set", size_m=60.0, overwrite=True).power.mean()
-
-
-# ---- MATLAB files ----
-
-
-def _mats() -> list[bytes]:
-    made = []
-    record = {"fp": IMAGE * (1 + 2j), "freq": np.arange(6.0), "af": {"r": IMAGE}, "text": ["ab", "cd"], "no": {}}
-    for compressed in (False, True):
-        buffer = io.BytesIO()
-        cells = np.array([1.0, "x", IMAGE], object)
-        scipy.io.savemat(buffer, {"data": record, "cells": cells}, do_compression=compressed)
-        made.append(buffer.getvalue())
-    return [*made, made[0][:128] + _packed_mat(made[0][128:] + bytes(1 << 22))]  # a bomb: 4 MiB in 5 KiB
-
-
-def _packed_mat(data: bytes) -> bytes:
-    inner = zlib.compress(data)
-    return struct.pack("<II", 15, len(inner)) + inner
-
-
-def _spoil_mat(data: bytes, rng: random.Random) -> bytes:
-    """A tag, a dimension or another number, at a place where one may be; perhaps compressed afterwards."""
-    place = 128 + 4 * rng.randrange(max(1, (len(data) - 128) // 4))
-    data = data[:place] + struct.pack("<I", rng.choice((*range(20), *NUMBERS)) % 2**32) + data[place + 4 :]
-    return data[:128] + _packed_mat(data[128:]) if rng.random() < 0.3 else data
-
-
-def _pulses() -> list[bytes]:
-    """Eight pulses of one flight past a point."""
-    made = []
-    for kind in (np.float64, np.float32):
-        data = record(circle(np.linspace(10, 11, 8)), [(1.0, 0.0, 0.0)], FREQUENCIES[::8])
-        data |= {"af": {"r_correct": np.zeros(8), "ph_correct": np.ones(8)}}
-        buffer = io.BytesIO()
-        single = {
-            k: v.astype(kind) if isinstance(v, np.ndarray) and v.dtype.kind == "f" else v for k, v in data.items()
-        }
-        scipy.io.savemat(buffer, {"data": single})
-        made.append(buffer.getvalue())
-    return made
-
-
-def _spoil_pulses(data: bytes, rng: random.Random) -> bytes:
-    """A number among the values."""
-    value = np.array(rng.choice((*FLOATS, 1e-300, 3e3, 1e10)))
-    with np.errstate(over="ignore"):
-        packed = value.astype(rng.choice(("<f4", "<f8"))).tobytes()
-    place = len(data) // 8 * 8 - 8 * rng.randrange(1, max(2, len(data) // 8 - 16))
-    return data[:place] + packed + data[place + len(packed) :]
-
-
-def _read_pulses(folder: Path) -> object:
-    made = []
-    for flight in flights([read_gotcha(folder / "a.mat")]):
-        for aperture in apertures(flight, np.zeros(3), None):
-            aperture.tilt_deg, aperture.resolution_m(Taylor())
-            made.append(focus(aperture, ImageGrid(3, 3, (0.1, 0.1), (0.1, 0.1)), Taylor()))
-    assert np.isfinite(made).all()
-    return made
-
-
 READERS = (
     Reader("phoenix", "HB00001.000", _read_phoenix, lambda: [phoenix_bytes()], (_phoenix_fits,)),
     Reader("dataset.json", "set/dataset.json", _read_dataset, _dataset_header, (spoil_json,), prepare_dataset),
@@ -462,11 +380,11 @@ READERS = (
     Reader("labels.csv", "labels.csv", _read_chips, lambda: [_LABELS], (), _chips),
     Reader("chip.jpeg", "chips/a.jpeg", _read_chips, lambda: [_jpeg()], (), _chips),
     Reader("sicd", "a.nitf", radar.read_sicd, radar.sicd_seeds, (radar.spoil_xml(sicds),)),
-    Reader("rslc", "a.h5", _read_rslc, _rslcs),
-    Reader("mat", "a.mat", lambda folder: read_mat(folder / "a.mat"), _mats, (_spoil_mat,)),
-    Reader("gotcha", "a.mat", _read_pulses, _pulses, (_spoil_mat, _spoil_pulses)),
+    Reader("rslc", "a.h5", radar.read_rslc, radar.rslc_seeds),
+    Reader("mat", "a.mat", lambda folder: read_mat(folder / "a.mat"), radar.mat_seeds, (radar.spoil_mat,)),
+    Reader("gotcha", "a.mat", radar.read_pulses, radar.pulse_seeds, (radar.spoil_mat, radar.spoil_samples)),
     Reader("cphd", "a.cphd", radar.read_cphd, radar.cphd_seeds, (radar.spoil_xml(cphds), radar.spoil_pulse)),
     Reader("folder table", "shots/t.csv", pics.read_table, pics.tables, (pics.spoil_cell,), pics.prepare_table),
     Reader("folder picture", "picture", pics.read_picture, pics.pictures, (_spoil_tiff, pics.spoil_npy)),
-    Reader("sample", pics.SAMPLE_FILE, pics.read_sample, pics.samples, (_spoil_mat,), pics.prepare_sample),
+    Reader("sample", pics.SAMPLE_FILE, pics.read_sample, pics.samples, (radar.spoil_mat,), pics.prepare_sample),
 )

@@ -1,20 +1,33 @@
-"""SICDs and CPHDs that are spoilt: numbers, elements and attributes of their metadata, and numbers of their pulses."""
+"""Files of radars that are spoilt: metadata and pulses of SICDs and CPHDs, RSLCs, and MATLAB files of pulses."""
 
+import io
 import random
 import re
+import struct
 import tempfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
+import scipy.io
 
 import cphds
 import sicds
 from fuzz_mutations import FLOATS, NUMBERS, Mutation, spoil_bytes
+from made import NOISE
+from pulses import FREQUENCIES, circle, record
+from rslcs import halves, write_rslc
 from sarsplat.data import Dataset
-from sarsplat.importers import import_phase_history, import_sicd
+from sarsplat.geometry import ImageGrid
+from sarsplat.geometry.responses import Taylor
+from sarsplat.importers import import_phase_history, import_rslc, import_sicd
 from sarsplat.importers.history_cphd import describe_cphd
+from sarsplat.importers.history_gotcha import read_gotcha
+from sarsplat.importers.phase_apertures import apertures
+from sarsplat.importers.phase_history import flights
+from sarsplat.importers.phase_history_images import focus
 
 _XML_MOST = 40_000
 _NUMBERS = [str(value).encode() for value in (*NUMBERS, *FLOATS, -90, 180, 1e4)]
@@ -92,3 +105,80 @@ def _checked(importer: Callable[..., Dataset], *arguments: object, **options: ob
     dataset = importer(*arguments, **options)
     assert dataset.signal is not None and np.isfinite(dataset.signal).all()
     return str(dataset.source).encode(), dataset.power.mean()
+
+
+# ---- RSLC files ----
+
+
+def rslc_seeds() -> list[bytes]:
+    """Of three polarisations, and of one."""
+    image = np.random.default_rng(0).normal(size=(40, 30, 2)) @ [1, 1j]
+    images = {name: halves(image) for name in ("HH", "HV", "VV")}
+    return [written(lambda path: write_rslc(path, images)), written(lambda path: write_rslc(path, {"HH": image}))]
+
+
+def read_rslc(folder: Path) -> object:
+    """Its power."""
+    return import_rslc(folder / "a.h5", folder / "set", size_m=60.0, overwrite=True).power.mean()
+
+
+# ---- MATLAB files ----
+
+
+def mat_seeds() -> list[bytes]:
+    """Records and cells, plain and compressed, and a bomb."""
+    made = []
+    record = {"fp": NOISE[0] * (1 + 2j), "freq": np.arange(6.0), "af": {"r": NOISE[0]}, "text": ["ab", "cd"], "no": {}}
+    for compressed in (False, True):
+        buffer = io.BytesIO()
+        cells = np.array([1.0, "x", NOISE[0]], object)
+        scipy.io.savemat(buffer, {"data": record, "cells": cells}, do_compression=compressed)
+        made.append(buffer.getvalue())
+    return [*made, made[0][:128] + _packed_mat(made[0][128:] + bytes(1 << 22))]  # a bomb: 4 MiB in 5 KiB
+
+
+def _packed_mat(data: bytes) -> bytes:
+    inner = zlib.compress(data)
+    return struct.pack("<II", 15, len(inner)) + inner
+
+
+def spoil_mat(data: bytes, rng: random.Random) -> bytes:
+    """A tag, a dimension or another number, at a place where one may be; perhaps compressed afterwards."""
+    place = 128 + 4 * rng.randrange(max(1, (len(data) - 128) // 4))
+    data = data[:place] + struct.pack("<I", rng.choice((*range(20), *NUMBERS)) % 2**32) + data[place + 4 :]
+    return data[:128] + _packed_mat(data[128:]) if rng.random() < 0.3 else data
+
+
+def pulse_seeds() -> list[bytes]:
+    """Eight pulses of one flight past a point."""
+    made = []
+    for kind in (np.float64, np.float32):
+        data = record(circle(np.linspace(10, 11, 8)), [(1.0, 0.0, 0.0)], FREQUENCIES[::8])
+        data |= {"af": {"r_correct": np.zeros(8), "ph_correct": np.ones(8)}}
+        buffer = io.BytesIO()
+        single = {
+            k: v.astype(kind) if isinstance(v, np.ndarray) and v.dtype.kind == "f" else v for k, v in data.items()
+        }
+        scipy.io.savemat(buffer, {"data": single})
+        made.append(buffer.getvalue())
+    return made
+
+
+def spoil_samples(data: bytes, rng: random.Random) -> bytes:
+    """A number among the values."""
+    value = np.array(rng.choice((*FLOATS, 1e-300, 3e3, 1e10)))
+    with np.errstate(over="ignore"):
+        packed = value.astype(rng.choice(("<f4", "<f8"))).tobytes()
+    place = len(data) // 8 * 8 - 8 * rng.randrange(1, max(2, len(data) // 8 - 16))
+    return data[:place] + packed + data[place + len(packed) :]
+
+
+def read_pulses(folder: Path) -> object:
+    """Images of a few pixels."""
+    made = []
+    for flight in flights([read_gotcha(folder / "a.mat")]):
+        for aperture in apertures(flight, np.zeros(3), None):
+            aperture.tilt_deg, aperture.resolution_m(Taylor())
+            made.append(focus(aperture, ImageGrid(3, 3, (0.1, 0.1), (0.1, 0.1)), Taylor()))
+    assert np.isfinite(made).all()
+    return made

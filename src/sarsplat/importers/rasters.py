@@ -47,7 +47,7 @@ def read_raster(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]:
         _require_plain(path, file)
         bands = [k for k, kind in zip(file.indexes, file.colorinterp, strict=True) if kind.name != "alpha"]
         masks = file.read_masks(bands)
-        if not np.isin(masks, (0, 255)).all():
+        if ((masks != 0) & (masks != 255)).any():
             raise SarsplatError(f"{path} has pixels that are transparent in part; write it without its alpha band")
         absent = (masks == 0).any(axis=0)
         pixels = file.read(bands)
