@@ -107,9 +107,6 @@ def _checked(importer: Callable[..., Dataset], *arguments: object, **options: ob
     return str(dataset.source).encode(), dataset.power.mean()
 
 
-# ---- RSLC files ----
-
-
 def rslc_seeds() -> list[bytes]:
     """Of three polarisations, and of one."""
     image = np.random.default_rng(0).normal(size=(40, 30, 2)) @ [1, 1j]
@@ -118,11 +115,7 @@ def rslc_seeds() -> list[bytes]:
 
 
 def read_rslc(folder: Path) -> object:
-    """Its power."""
     return import_rslc(folder / "a.h5", folder / "set", size_m=60.0, overwrite=True).power.mean()
-
-
-# ---- MATLAB files ----
 
 
 def mat_seeds() -> list[bytes]:
@@ -174,7 +167,6 @@ def spoil_samples(data: bytes, rng: random.Random) -> bytes:
 
 
 def read_pulses(folder: Path) -> object:
-    """Images of a few pixels."""
     made = []
     for flight in flights([read_gotcha(folder / "a.mat")]):
         for aperture in apertures(flight, np.zeros(3), None):

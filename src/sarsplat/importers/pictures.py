@@ -163,16 +163,11 @@ def power_or_signal(
         if quantity == "complex":
             value = _joined(pixels, name).astype(np.complex64) * np.float32(scale)
         else:
-            value = pixels.astype(np.float32)  # then in place: a small file may hold a large image
-            value *= np.float32(scale)
-            value += np.float32(offset)
+            value = pixels.astype(np.float32) * np.float32(scale) + np.float32(offset)
         if quantity == "db":
             value = from_db(value)
-        fits = np.isfinite(value)
-        if quantity != "complex":
-            fits &= value >= 0
-        if quantity == "amplitude":
-            np.square(value, out=value)
+        fits = np.isfinite(value) if quantity == "complex" else np.isfinite(value) & (value >= 0)
+        value = value**2 if quantity == "amplitude" else value
     if not fits.all():
         place = tuple(int(index) for index in np.argwhere(~fits)[0])
         scaled = "" if (scale, offset) == (1, 0) else f", times {scale:g} plus {offset:g},"
@@ -271,5 +266,4 @@ def read_values(
         told.append(f"pixels are multiplied by {scale:g}, and {offset:g} is added, as the files say")
     image = power_or_signal(pixels, found, name, scale, offset)
     absent = np.zeros(image.shape, bool) if absent is None else absent
-    image[absent] = 0
-    return Values(image, absent, tags, found, tuple(told))
+    return Values(np.where(absent, image.dtype.type(0), image), absent, tags, found, tuple(told))
