@@ -1,7 +1,5 @@
 """Argument checks of public functions against their annotations."""
 
-from __future__ import annotations
-
 import math
 import os
 import sys

@@ -1,7 +1,5 @@
 """Installed packages: versions, and optional dependencies (extras)."""
 
-from __future__ import annotations
-
 _DISTRIBUTIONS = {
     "PIL": "pillow",
     "cv2": "opencv-python-headless",

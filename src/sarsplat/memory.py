@@ -1,7 +1,5 @@
 """Memory checks before large work: announce its need, or raise if that exceeds the free memory."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Choices of command-line options, kept apart from their implementations so that `--help` imports little."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from sarsplat.plugins import discover

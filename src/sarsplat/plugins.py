@@ -1,7 +1,5 @@
 """Plugins: files with a name prefix, and entry points of other packages."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property, partial

@@ -1,7 +1,5 @@
 """Progress of long work: a bar on a terminal, plain lines elsewhere."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
@@ -24,10 +22,10 @@ _TRUSTED_S, _TRUSTED_SHARE, _PATIENCE_S = 2.0, 0.1, 20.0
 """Seconds and share of the work after which the time left is estimated, and seconds after which it is in any case: the
 first steps are often quicker or, while caches warm up, far slower than the rest."""
 
-_current: ContextVar[Reporter | None] = ContextVar("_current", default=None)
+_current: "ContextVar[Reporter | None]" = ContextVar("_current", default=None)
 """Progress on display."""
 
-_tally: ContextVar[Tally | None] = ContextVar("_tally", default=None)
+_tally: "ContextVar[Tally | None]" = ContextVar("_tally", default=None)
 """Tally of the enclosing `tally` block."""
 
 
@@ -74,13 +72,13 @@ class Reporter:
         self._first = self._done = 0.0
         self._ended = False
 
-    def part(self, description: str, total: int) -> Reporter:
+    def part(self, description: str, total: int) -> "Reporter":
         """Return a reporter of a part of the work, with its own bar."""
         inner = Reporter(total, self._bar, description, self._quiet)
         inner._spoken = self._spoken  # shared, so that the interval holds across parts
         return inner
 
-    def within(self, before: int, name: str) -> Reporter:
+    def within(self, before: int, name: str) -> "Reporter":
         """Return a reporter of a part of the work whose steps follow the first `before` of the whole."""
         return _PartOfSteps(self, before, name)
 

@@ -3,8 +3,6 @@
 Power is a numpy array or a number; conversions between β⁰, σ⁰ and γ⁰ accept torch tensors as well.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, TypeVar
 

@@ -1,7 +1,5 @@
 """Library calls that threads or Ctrl-C would crash: decoding into types by msgspec, and searches by many threads."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """Interface of a baseline: its settings, and a torch module that renders a view and has a surface."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass

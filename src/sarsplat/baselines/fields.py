@@ -1,7 +1,5 @@
 """Fields of SAR-NeRF: attenuation and scattering as a perceptron or nested voxel grids, their samples and surface."""
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -236,7 +234,7 @@ class Rays:
         count: int,
         *,
         whole: bool,
-    ) -> Rays:
+    ) -> "Rays":
         """Rays through a box; `whole` samples all pixels of the grid, else only those that show the box."""
         turn = view.look.frame
         middle, half = turn @ (low_m + high_m) / 2, np.abs(turn) @ (high_m - low_m) / 2

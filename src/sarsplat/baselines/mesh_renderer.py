@@ -3,8 +3,6 @@
 docs/concepts/baselines-dsr.md has the equations, published or not.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ Each edge of a template's solid is divided into `parts`, then vertices are proje
 vertices are an icosahedron's with 8 parts, 1,352 a cube's with 15.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """DSR: a closed mesh fitted to images and masks by gradient descent (docs/concepts/baselines-dsr.md)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal

@@ -3,8 +3,6 @@
 `docs/concepts/baselines-sar-nerf.md` has both image equations ("published" and "sound") and all choices.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal

@@ -1,7 +1,5 @@
 """SAR-NeRF with nested grids instead of a perceptron, for a CPU; docs/concepts/baselines-sar-nerf.md."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Annotated, Literal

@@ -7,8 +7,6 @@ around the triangles. Large numbers of pairs are computed in batches, and again 
 Sums over pairs are `index_add` along one dimension, which adds in a fixed order on the CPU.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -37,12 +35,12 @@ class Lattice:
     rows: int
 
     @classmethod
-    def of(cls, grid: ImageGrid) -> Lattice:
+    def of(cls, grid: ImageGrid) -> "Lattice":
         """Pixels of an image: azimuth across, slant range along."""
         return cls((float(grid.azimuth_m[0]), float(grid.range_m[0])), grid.spacing_m, grid.columns, grid.rows)
 
     @classmethod
-    def around(cls, points: Float[Tensor, "n 2"], step_m: float) -> Lattice:
+    def around(cls, points: Float[Tensor, "n 2"], step_m: float) -> "Lattice":
         """Square pixels around points, at ((k + ½)·step, (l + ½)·step)."""
         low = torch.floor(points.detach().amin(0).double() / step_m).tolist()
         high = torch.floor(points.detach().amax(0).double() / step_m).tolist()

@@ -1,7 +1,5 @@
 """Trainer of a baseline: steps, and snapshots that restore its state bit for bit."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

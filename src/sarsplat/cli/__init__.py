@@ -1,7 +1,5 @@
 """Command line `sarsplat`. Commands import heavy packages inside, so that help is instant."""
 
-from __future__ import annotations
-
 import signal
 import sys
 import threading

@@ -3,8 +3,6 @@
 Errors and warnings become sentences, and the exit code is set.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import re

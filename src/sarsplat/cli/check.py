@@ -1,7 +1,5 @@
 """`sarsplat check`: find contradictions between the images of a dataset and its header."""
 
-from __future__ import annotations
-
 import shlex
 from pathlib import Path
 from typing import Annotated

@@ -1,7 +1,5 @@
 """Commands and their summaries, read without importing any command, or tyro, which is slow."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Callable, Mapping

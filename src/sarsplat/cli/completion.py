@@ -1,7 +1,5 @@
 """`sarsplat completion`: a script for a shell, made from the options of all commands."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from typing import Annotated, Literal
 

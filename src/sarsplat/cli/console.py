@@ -1,7 +1,5 @@
 """Terminal output of the commands: results on stdout, errors and warnings on stderr."""
 
-from __future__ import annotations
-
 import ast
 import os
 import re

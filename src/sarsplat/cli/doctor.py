@@ -1,7 +1,5 @@
 """`sarsplat doctor`: show the installation."""
 
-from __future__ import annotations
-
 import os
 import platform
 from importlib.util import find_spec

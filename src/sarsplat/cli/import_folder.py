@@ -1,7 +1,5 @@
 """`sarsplat import folder`: pictures and a table in, a dataset out."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import tyro

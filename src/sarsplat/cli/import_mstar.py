@@ -1,7 +1,5 @@
 """`sarsplat import mstar`: measured chips in, a dataset out, or those of a standard split."""
 
-from __future__ import annotations
-
 import math
 import re
 import shlex
@@ -211,7 +209,7 @@ class SplitSource:
     """Number of chips without azimuth."""
 
     @classmethod
-    def of(cls, target: str, source: Mapping[str, Any]) -> SplitSource | None:
+    def of(cls, target: str, source: Mapping[str, Any]) -> "SplitSource | None":
         """Return the split, None without or for an unknown one."""
         from sarsplat.importers.mstar_splits import SPLITS
 

@@ -1,7 +1,5 @@
 """`sarsplat import phase-history`: pulses in, a dataset of focused images out."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

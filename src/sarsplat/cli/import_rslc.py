@@ -1,7 +1,5 @@
 """`sarsplat import rslc`: an image in one or several polarisations in, a dataset of one view out."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from sarsplat.cli.from_signature import comma_separated, command_of

@@ -1,7 +1,5 @@
 """`sarsplat import sample`: the SAMPLE set's MATLAB files in, a dataset out."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 from sarsplat.cli.from_signature import Option, command_of

@@ -1,7 +1,5 @@
 """`sarsplat import sicd`: complex images with their geometry in, a dataset out."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from sarsplat.cli.from_signature import comma_separated, command_of

@@ -3,8 +3,6 @@
 `recognise(contents)`, beside the function that is the command, returns a `Recognised`, or None for other contents.
 """
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Callable, Sequence
 from contextlib import suppress

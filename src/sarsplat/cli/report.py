@@ -1,7 +1,5 @@
 """`sarsplat report`: write the report of a run."""
 
-from __future__ import annotations
-
 import shlex
 
 from sarsplat.cli import console

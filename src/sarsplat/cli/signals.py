@@ -1,7 +1,5 @@
 """Signal handling: exit codes and messages of interrupted commands."""
 
-from __future__ import annotations
-
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

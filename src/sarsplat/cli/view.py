@@ -1,7 +1,5 @@
 """`sarsplat view`: a local page in which the radar is dragged around the target."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from typing import Annotated

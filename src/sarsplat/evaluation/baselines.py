@@ -1,7 +1,5 @@
 """2D baselines for measured images: nearest chip and rotated average."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

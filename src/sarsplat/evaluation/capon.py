@@ -1,7 +1,5 @@
 """Capon's method, for comparison: each pixel's elevations are the peaks of its spectrum over elevation."""
 
-from __future__ import annotations
-
 import numpy as np
 from jaxtyping import Complex128, Float64
 from scipy.ndimage import uniform_filter

@@ -4,8 +4,6 @@ Source: Zhang, Isola, Efros, Shechtman, Wang, "The Unreasonable Effectiveness of
 2018.
 """
 
-from __future__ import annotations
-
 import os
 import pickle
 import zipfile

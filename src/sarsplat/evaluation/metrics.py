@@ -4,8 +4,6 @@ Evaluation, `metrics.json`, terminal, report, README and documentation use this 
 function and add an entry.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial

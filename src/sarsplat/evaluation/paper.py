@@ -1,7 +1,5 @@
 """Published scores of SAR-GS: Tables II and III (rendered sets), VI and VII (ablations on the measured T72)."""
 
-from __future__ import annotations
-
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation.tables import Scores

@@ -5,8 +5,6 @@ rotated by errors of their assumed rotation. These offsets are no errors of the 
 before they are scored, but only a little, so that no other error is hidden.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -45,7 +43,7 @@ class Yardstick:
     cell_m: float
 
     @classmethod
-    def of(cls, grid: ImageGrid) -> Yardstick:
+    def of(cls, grid: ImageGrid) -> "Yardstick":
         """Yardstick of images: 0.3 m for cells of 0.3 m as well as for MSTAR's 0.312 m."""
         return cls(_rounded(grid.cell_m))
 

@@ -1,7 +1,5 @@
 """Comparison of scores, and their table in the terminal."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Protocols of jobs and executors, which are modules `executor_NAME.py` and entry points."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib import import_module

@@ -3,8 +3,6 @@
 The module is also the program of these processes: JSON lines of jobs in, of results out; it ends with its parent.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -41,7 +39,7 @@ Answer = tuple[str, Any]
 class Team:
     """Pool of workers, each with `at_a_time` slots for jobs."""
 
-    def __init__(self, workers: Sequence[Worker], at_a_time: int = 1) -> None:
+    def __init__(self, workers: "Sequence[Worker]", at_a_time: int = 1) -> None:
         self._workers = workers
         self._free: SimpleQueue[Worker] = SimpleQueue()
         for worker in [*workers] * at_a_time:  # every GPU gets one before any gets two

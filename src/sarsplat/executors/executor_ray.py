@@ -1,7 +1,5 @@
 """Ray executor: jobs on a cluster whose nodes share the folders that they read and write."""
 
-from __future__ import annotations
-
 import signal
 import threading
 from collections.abc import Iterator, Sequence

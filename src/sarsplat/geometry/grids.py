@@ -1,7 +1,5 @@
 """Pixels of the imaging plane with their labels, and rays of the computation plane."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Any, Self
@@ -96,7 +94,7 @@ class ImageGrid:
         return replace(self, resolution_m=(width_of(azimuth_m2, azimuth), width_of(range_m2, slant_range)))
 
     @checks_arguments
-    def multilooked(self, factor: int) -> ImageGrid:
+    def multilooked(self, factor: int) -> "ImageGrid":
         """Return the grid of images whose pixels are means of power over blocks of these.
 
         The response is as much wider as a block is wide. Rows and columns that fill no block, at the far and the right
@@ -154,7 +152,7 @@ class ImageGrid:
         azimuth, slant_range = self.center_m
         return azimuth - half_azimuth, azimuth + half_azimuth, slant_range + half_range, slant_range - half_range
 
-    def part(self, rows: slice, columns: slice) -> ImageGrid:
+    def part(self, rows: slice, columns: slice) -> "ImageGrid":
         """Return the grid of a part of the image, at least one pixel."""
         azimuth, slant_range = self.azimuth_m[columns], self.range_m[rows]
         centre = ((azimuth[0] + azimuth[-1]) / 2, (slant_range[0] + slant_range[-1]) / 2)
@@ -181,7 +179,7 @@ class RayGrid:
 
     @classmethod
     @checks_arguments
-    def for_image(cls, grid: ImageGrid, per_pixel: float = 2.0) -> RayGrid:
+    def for_image(cls, grid: ImageGrid, per_pixel: float = 2.0) -> "RayGrid":
         """Make a square lattice with `per_pixel` rays in the smaller pixel spacing."""
         spacing = min(grid.spacing_m) / per_pixel
         return cls((spacing, spacing))

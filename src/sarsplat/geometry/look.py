@@ -1,7 +1,5 @@
 """Geometry of a view: places in the image, rays, and the ground."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any, Self, TypeVar

@@ -1,7 +1,5 @@
 """Georeference of a scene: its origin in WGS 84, and the bearing of its x axis."""
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Iterable

@@ -1,7 +1,5 @@
 """Stacks: coregistered channels of one view, interferometric passes or polarisations, and their phases."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Terrain: heights of the ground on a lattice."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -87,13 +85,13 @@ class Terrain:
         lower = table[row + 1, column] * (1 - right) + table[row + 1, column + 1] * right
         return upper * (1 - down) + lower * down
 
-    def centred(self) -> Terrain:
+    def centred(self) -> "Terrain":
         """Return the terrain moved vertically to z = 0 at the origin."""
         middle = float(self.height_m(np.zeros(1), np.zeros(1))[0])
         place = None if self.place is None else replace(self.place, height_m=self.place.height_m + middle)
         return Terrain(self.heights_m - middle, self.pitch_m, place)
 
-    def around(self, place: Place, reach_m: float) -> Terrain:
+    def around(self, place: Place, reach_m: float) -> "Terrain":
         """Return the terrain in the frame of another place on it, cut to `reach_m` around it or where it ends.
 
         Heights keep their datum.

@@ -1,7 +1,5 @@
 """Rotation of a target aloft between the frames of a pass, and its uncertainty (inverse SAR)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

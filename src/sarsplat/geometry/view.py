@@ -1,7 +1,5 @@
 """Views: directions to a far-away radar, and the orientation of its images."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Batches of views that fit into memory, with gradients accumulated over the batches of a step."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import starmap

@@ -5,8 +5,6 @@ shifts, if the log gains of target and ground covary over the images, or if most
 position on which their even and odd rows agree.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import warnings

@@ -4,8 +4,6 @@ Something h above the ground appears h·tan ψ nearer to the radar, ψ the grazi
 the ground behind it. So a window also needs Gaussians around its part of the scene, others in each view.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

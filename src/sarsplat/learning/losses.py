@@ -3,8 +3,6 @@
 To add a loss, write a function that makes it from the configuration and the images' scale, and name it in `LOSSES`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The scene model: a list of parts with parameters, which make a scene and render its images."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import replace
@@ -65,7 +63,7 @@ class SceneModel:
     @classmethod
     def initial(
         cls, config: Config, dataset: Dataset, generator: torch.Generator, device: torch.device | str = "cpu"
-    ) -> SceneModel:
+    ) -> "SceneModel":
         """Return the initial model; warn if a part of the target lies outside of the box of the Gaussians.
 
         `generator` is on the CPU, so that a seed gives the same model on every device.
@@ -79,7 +77,7 @@ class SceneModel:
         return cls(config, frame, parameters, device)
 
     @classmethod
-    def saved(cls, snapshot: Snapshot, config: Config, device: torch.device | str = "cpu") -> SceneModel:
+    def saved(cls, snapshot: Snapshot, config: Config, device: torch.device | str = "cpu") -> "SceneModel":
         """Return the model that a snapshot holds (`tensors`).
 
         Raises ValueError, KeyError, TypeError, IndexError, RuntimeError or SarsplatError if the tensors are not those
@@ -137,7 +135,7 @@ class SceneModel:
             return learned
         return {name: how if how.per_gaussian else replace(how, rates=(0.0,)) for name, how in learned.items()}
 
-    def copy(self, *, ground: bool = True) -> SceneModel:
+    def copy(self, *, ground: bool = True) -> "SceneModel":
         """Copy the scene and its tensors, with or without the surroundings of the target."""
         copied = SceneModel(self.config, self.frame, self.parameters, self.device)
         copied.parts = [copy(part) for part in self.parts if ground or not part.surrounds]

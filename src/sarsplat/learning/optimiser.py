@@ -1,7 +1,5 @@
 """Adam for named parameters, with decaying rates, ranges, and rows that come and go."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -53,7 +51,7 @@ class Optimiser:
         columns = torch.as_tensor(numbers, dtype=tensor.dtype, device="cpu").to(tensor.device)
         return columns.expand(tensor[0].numel())
 
-    def _stepped(self, name: str, tensor: Tensor) -> Stepped:
+    def _stepped(self, name: str, tensor: Tensor) -> "Stepped":
         learned = self._learned[name]
         mean, square = self.state[name].values()
         rates, low, high = (self._columns(name, numbers) for numbers in (learned.rates, learned.low, learned.high))
@@ -82,7 +80,7 @@ class Optimiser:
         self.stepper.step(gradients, [self._decay(name, iteration) for name in self._parameters], self._steps)
 
     @property
-    def stepper(self) -> EngineAdam | PlainAdam:
+    def stepper(self) -> "EngineAdam | PlainAdam":
         """Adam for the current tensors, rates and ranges; made anew when these change."""
         if self._adam is None:
             tensors = [self._stepped(name, tensor) for name, tensor in self._parameters.items()]

@@ -1,7 +1,5 @@
 """Training steps as CUDA graphs; the numbers that change from step to step are written to the device."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Hashable, Sequence
 from typing import Generic, TypeVar
 

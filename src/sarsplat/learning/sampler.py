@@ -1,7 +1,5 @@
 """Sampler of single images with speckle, as a radar would deliver them, from a learned scene."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import get_args

@@ -1,7 +1,5 @@
 """Quantities that training images and settings fix for a learned scene: region, unit, views, grid, and levels."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from itertools import pairwise
@@ -43,7 +41,7 @@ class SceneFrame:
     """Stack of each view; empty if training uses power only."""
 
     @classmethod
-    def of(cls, config: Config, dataset: Dataset) -> SceneFrame:
+    def of(cls, config: Config, dataset: Dataset) -> "SceneFrame":
         train = dataset.select("train")
         terrain = dataset.terrain if config.ground else None
         stacks = train.stacks if config.passes else ()
@@ -83,7 +81,7 @@ class Levels:
     """Length of the training."""
 
     @classmethod
-    def of(cls, config: Config, frame: SceneFrame) -> Levels:
+    def of(cls, config: Config, frame: SceneFrame) -> "Levels":
         grid, (width_m, depth_m, _) = frame.grid, frame.region.high - frame.region.low
         shown_m = (grid.columns * grid.spacing_m[0], grid.rows * grid.spacing_m[1])  # a box may be given, of any size
         across_m, factor = min(math.sqrt(width_m * depth_m), *shown_m), 1

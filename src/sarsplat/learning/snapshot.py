@@ -1,7 +1,5 @@
 """Complete state of a training, in one file; to resume, only the images are needed besides."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -83,7 +81,7 @@ class Snapshot:
         save_checkpoint(path, self.tensors, state)
 
     @classmethod
-    def load(cls, path: Path) -> Snapshot:
+    def load(cls, path: Path) -> "Snapshot":
         """Read a snapshot; raise if the file is missing, damaged, or not of a training."""
         tensors, state = load_checkpoint(path)
         if "apart_deg" in str(state.get("views")):

@@ -1,7 +1,5 @@
 """Likelihood of stacks: circular Gaussian speckle of all channels together, of pixels or averaged over windows."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Trainer: makes the steps of a training, and saves and restores its state, exact to the bit."""
 
-from __future__ import annotations
-
 import logging
 import warnings
 from collections import Counter

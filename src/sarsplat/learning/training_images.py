@@ -1,7 +1,5 @@
 """Training images on the device, and the random order in which steps use them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from copy import copy
 
@@ -65,13 +63,13 @@ class TrainingImages:
         # stacked: much faster than an index
         return torch.stack([self.numbers[i] for i in chosen]), torch.stack([self.truth[i] for i in chosen])
 
-    def through(self, windows: Windows) -> TrainingImages:
+    def through(self, windows: Windows) -> "TrainingImages":
         """Windows of these images, stacked."""
         cut = copy(self)
         cut.truth, cut.grid = windows.of(self.truth), windows.stack
         return cut
 
-    def multilooked(self, factor: int, views: tuple[View, ...]) -> TrainingImages:
+    def multilooked(self, factor: int, views: tuple[View, ...]) -> "TrainingImages":
         """Means of power over blocks of factor × factor pixels, with these views."""
         looked = copy(self)
         looked.views = views

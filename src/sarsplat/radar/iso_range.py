@@ -1,7 +1,5 @@
 """Contributors to a pixel: the line of its azimuth and range, and the Gaussians on it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

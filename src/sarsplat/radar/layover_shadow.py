@@ -1,7 +1,5 @@
 """Layover (several places of a map share a pixel) and shadow (a place is hidden), from heights alone."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Radar maps: height, incidence angle, layover and shadow in each pixel of a view."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Outlines of target and shadow in an image, from its decibels alone, whichever side is near range."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

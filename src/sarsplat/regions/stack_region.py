@@ -1,7 +1,5 @@
 """Region of a stack's scatterers: imaged places within one ambiguity of elevation."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Bounding box of the target: sides from places brighter than the ground, height from the shadow."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Region of Gaussians' centres, also on terrain, whose images are levelled for it; warnings of objects cut off."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

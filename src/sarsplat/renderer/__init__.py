@@ -1,7 +1,5 @@
 """Differentiable renderer: from Gaussians, views and a grid to SAR images and cross-sections."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial

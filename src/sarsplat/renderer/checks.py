@@ -1,7 +1,5 @@
 """Checks of the renderer's arguments. The engines check values as they read them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import torch

@@ -4,8 +4,6 @@ The images are one of power for each polarisation, and a complex one, real and i
 distinct pair of channels.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -216,7 +214,7 @@ class _Plan:
 
     @classmethod
     @lru_cache(maxsize=256)
-    def of(cls, stacks: tuple[Stack, ...]) -> _Plan:
+    def of(cls, stacks: tuple[Stack, ...]) -> "_Plan":
         names, frame = stacks[0].of_channels, _ANY.look.frame
         vectors = np.stack([stack.phase_vectors(_ANY) @ frame.T for stack in stacks])
         elevation = vectors[..., 1]

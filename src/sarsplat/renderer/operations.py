@@ -1,7 +1,5 @@
 """Renderings on an engine's passes, and their steps on an engine or the reference."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

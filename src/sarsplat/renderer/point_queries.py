@@ -1,7 +1,5 @@
 """Bilinear interpolation on a lattice around the origin, constant beyond its edges."""
 
-from __future__ import annotations
-
 from jaxtyping import Float, Int64
 from torch import Tensor
 

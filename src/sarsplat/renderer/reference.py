@@ -4,8 +4,6 @@ Dense: it evaluates every Gaussian at every ray and every pixel, so it is meant 
 are sections of the model (docs/concepts/image-model.md).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Results of renderings and of their steps: footprints of Gaussians on the two planes, lit areas, and images."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from operator import attrgetter
 
@@ -161,7 +159,7 @@ class Attenuation:
     """
 
     lit_area: Float[Tensor, "v n"]
-    ray_maps: tuple[RayMap, ...] | None = None
+    ray_maps: "tuple[RayMap, ...] | None" = None
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,5 @@
 """Steps of a rendering, each differentiable: project, attenuate, splat."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import torch

@@ -3,8 +3,6 @@
 Gaussians are lit as in the unstretched view, and imaged by the gradients of the look.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 

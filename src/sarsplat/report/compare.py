@@ -1,7 +1,5 @@
 """Several runs side by side: their scores, the same views, and their points."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Training curves: loss, number of Gaussians, and corrections of azimuths."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -4,8 +4,6 @@ Only the inside of a panel's frame is a picture or drawing; axes, scale bars and
 keep their size on a phone and follow light and dark.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """SAR images and their errors as panels of a page: axes in metres, a scale bar, and the radar above."""
 
-from __future__ import annotations
-
 import base64
 import io
 import math
@@ -89,7 +87,7 @@ class Part:
     factor: int = 1
 
     @classmethod
-    def of(cls, grid: ImageGrid, window: tuple[slice, slice], largest: int) -> Part:
+    def of(cls, grid: ImageGrid, window: tuple[slice, slice], largest: int) -> "Part":
         """A window, averaged over blocks of pixels until neither side has more than `largest` pixels."""
         rows, columns = (
             slice(*part.indices(size)) for part, size in zip(window, (grid.rows, grid.columns), strict=True)

@@ -1,7 +1,5 @@
 """Display of power: black and white levels, colour map, and images pixel for pixel."""
 
-from __future__ import annotations
-
 import io
 import math
 from dataclasses import dataclass

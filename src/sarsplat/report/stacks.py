@@ -1,7 +1,5 @@
 """Figures of stacks: measured and rendered interferograms of two passes, and polarisations in Pauli's basis."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import dataclass
@@ -42,7 +40,7 @@ class Pair:
     """Height that is one turn of the phase, m."""
 
     @classmethod
-    def longest(cls, stack: Stack, view: View, height_m: float) -> Pair:
+    def longest(cls, stack: Stack, view: View, height_m: float) -> "Pair":
         """Find the longest baseline whose phase turns at most once over `height_m`, else the shortest baseline."""
         per_height = stack.elevation_numbers(view) / view.look.height_per_elevation
         pairs = [  # rounded: of even passes, the first are alike
@@ -71,7 +69,7 @@ class Interferogram:
     coherence: Float64[np.ndarray, "rows columns"]
 
     @classmethod
-    def of(cls, parts: Float64[np.ndarray, "4 rows columns"]) -> Interferogram:
+    def of(cls, parts: Float64[np.ndarray, "4 rows columns"]) -> "Interferogram":
         """The interferogram from both powers and the deramped product of the two passes."""
         first, second, real, imaginary = parts
         least = np.finfo(np.float64).tiny

@@ -1,7 +1,5 @@
 """Unseen views: truth, reconstruction and error, and the outlines of true and predicted masks."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -4,8 +4,6 @@ Images are rendered beforehand, at the views of some of the dataset's images and
 these span; as many as a number of bytes allows, whatever the size of an image.
 """
 
-from __future__ import annotations
-
 import base64
 import math
 from collections.abc import Iterator, Sequence

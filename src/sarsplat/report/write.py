@@ -1,7 +1,5 @@
 """Assemble and write a report."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path

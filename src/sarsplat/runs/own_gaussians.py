@@ -1,7 +1,5 @@
 """Settings and state of a run of Gaussians from a custom training loop or a file."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace

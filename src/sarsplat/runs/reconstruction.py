@@ -1,7 +1,5 @@
 """`reconstruct`: train any method on a dataset."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, cast

@@ -1,7 +1,5 @@
 """`Run`: results of a training with their storage (folder or memory) and dataset."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -135,7 +133,7 @@ class Run(Result):
     # ---- its folder -------------------------------------------------------------------------------------------------
     @classmethod
     @checks_arguments
-    def load(cls, path: str | Path, device: str = "cpu", dataset: Dataset | None = None) -> Run:
+    def load(cls, path: str | Path, device: str = "cpu", dataset: Dataset | None = None) -> "Run":
         """Read a run's folder.
 
         Parameters
@@ -180,7 +178,7 @@ class Run(Result):
         dataset: Dataset | None = None,
         time_s: float = 0.0,
         device: str = "cpu",
-    ) -> Run:
+    ) -> "Run":
         """Make an in-memory run of Gaussians from a custom training loop or a file.
 
         Parameters
@@ -223,7 +221,7 @@ class Run(Result):
         return cls(DEFAULT_METHOD, config, fingerprint, None, where, held, on, dataset, place=place)
 
     @checks_arguments
-    def save(self, path: str | Path, *, overwrite: bool = False, quiet: bool = False) -> Run:
+    def save(self, path: str | Path, *, overwrite: bool = False, quiet: bool = False) -> "Run":
         """Write the run with its scores to a folder, for every command.
 
         Points that exist, in its folder or in memory, are not extracted again.

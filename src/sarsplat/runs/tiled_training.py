@@ -4,8 +4,6 @@ A model of coarse images fits into memory, and refinements are local. Each tile 
 with the surroundings in its images; these are dropped before the tiles are merged.
 """
 
-from __future__ import annotations
-
 import ctypes
 import shutil
 import sys

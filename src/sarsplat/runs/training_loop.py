@@ -1,7 +1,5 @@
 """Training loop of all methods: steps, log, checkpoints and resuming."""
 
-from __future__ import annotations
-
 import math
 import threading
 import time
@@ -135,7 +133,7 @@ class Training(Generic[T]):
             if self._between_steps and unsaved:
                 self._save()
 
-    def _steps(self, iterations: int, threads: ThreadChoice) -> None:
+    def _steps(self, iterations: int, threads: "ThreadChoice") -> None:
         trainer, config = self.trainer, self.trainer.config
         every = max(1, config.iterations // _LOG_LINES)
         losses: list[Tensor] = []
@@ -212,7 +210,7 @@ class ThreadChoice:
         self._untried: list[int] = []
         self._seconds: dict[int, float] = {}
 
-    def __enter__(self) -> ThreadChoice:
+    def __enter__(self) -> "ThreadChoice":
         return self
 
     def __exit__(self, *exception: object) -> None:

@@ -1,7 +1,5 @@
 """Ground of samples from a picture."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

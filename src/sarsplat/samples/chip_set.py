@@ -1,7 +1,5 @@
 """Set of chips: samples of runs from all around, each a function of the set's seed and its own number alone."""
 
-from __future__ import annotations
-
 import math
 import re
 import warnings

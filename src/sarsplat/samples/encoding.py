@@ -1,7 +1,5 @@
 """Encoding of complex amplitudes as the pixels of a chip file, decoding, and tables of labels."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Iterable, Sequence

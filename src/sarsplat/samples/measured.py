@@ -1,7 +1,5 @@
 """Measured chips of datasets, written as generated ones are, so that a classifier can be trained on both."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 An unfinished set with the same settings is resumed.
 """
 
-from __future__ import annotations
-
 import ctypes
 import hashlib
 import io

@@ -1,7 +1,5 @@
 """Deposition of cross-sections on a grid finer than the pixels, and their convolution with the power response to β⁰."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Ordered results of work on several threads, with progress within each item; Ctrl-C ends it at once."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from threading import Event

@@ -1,7 +1,5 @@
 """Triangles of mesh files with concave or warped polygons, by earcut: trimesh makes fans of all polygons."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Iterator
 from typing import Any

@@ -1,7 +1,5 @@
 """Views and grids of the experiments."""
 
-from __future__ import annotations
-
 import math
 
 from sarsplat.arguments import check_number

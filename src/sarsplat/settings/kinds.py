@@ -1,7 +1,5 @@
 """Kinds of numbers in settings, with their ranges."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from msgspec import Meta

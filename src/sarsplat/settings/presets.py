@@ -1,7 +1,5 @@
 """Presets of settings."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from sarsplat.arguments import checks_arguments

@@ -1,7 +1,5 @@
 """Frozen records of settings that check every value against the type of its field."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, dataclass, fields
 from difflib import get_close_matches

@@ -4,8 +4,6 @@ All bricks share one lattice of rays and Gaussians' footprints on it, and a bric
 meet, however far in front: so the returns of rays do not depend on the division into bricks.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -42,14 +40,14 @@ class Window:
         return self.rows, self.columns
 
     @classmethod
-    def around(cls, corners: Float64[np.ndarray, "c 2"], rays: RayGrid) -> Window:
+    def around(cls, corners: Float64[np.ndarray, "c 2"], rays: RayGrid) -> "Window":
         """Rays around places on the computation plane, m, and one more on each side."""
         low, high = (corners / rays.spacing_m - 0.5).min(0), (corners / rays.spacing_m - 0.5).max(0)
         (column, row), (last, end) = np.floor(low).astype(int) - 1, np.ceil(high).astype(int) + 1
         return cls(int(column), int(row), int(last - column) + 1, int(end - row) + 1)
 
     @classmethod
-    def of(cls, ray_map: RayMap, rays: RayGrid) -> Window:
+    def of(cls, ray_map: RayMap, rays: RayGrid) -> "Window":
         """Window of a map's rays."""
         column, row = (round(first / step - 0.5) for first, step in zip(ray_map.origin, rays.spacing_m, strict=True))
         rows, columns = ray_map.first_return.shape
@@ -87,7 +85,7 @@ class Brick:
         first, end = (cells.new_tensor(corner) for corner in (self.first, self.end))
         return ((cells >= first) & (cells < end)).all(1)
 
-    def halves(self) -> tuple[Brick, Brick]:
+    def halves(self) -> "tuple[Brick, Brick]":
         """Cut the brick across its longest side."""
         axis = int(np.argmax(np.subtract(self.end, self.first)))
         middle = (self.first[axis] + self.end[axis]) // 2
@@ -111,7 +109,7 @@ class _Cubes:
     """Middle and half sides of the bounding box of each cube's balls, m."""
 
     @classmethod
-    def of(cls, centres: Float64[np.ndarray, "n 3"], reach: Float64[np.ndarray, "n 1"]) -> _Cubes:
+    def of(cls, centres: Float64[np.ndarray, "n 3"], reach: Float64[np.ndarray, "n 1"]) -> "_Cubes":
         extent = centres - centres.min(0)
         cubes = np.floor(extent * (_CUBES / max(float(extent.max()), 1e-6))).astype(np.int64)  # the last is on the edge
         number = (cubes[:, 0] * (_CUBES + 1) + cubes[:, 1]) * (_CUBES + 1) + cubes[:, 2]

@@ -1,7 +1,5 @@
 """Points grouped by cubes of space, on any device (sums are in the order of rows, so bits repeat), or in halves."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

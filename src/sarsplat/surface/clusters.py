@@ -1,7 +1,5 @@
 """Clusters of points: separate objects from speckle and ground."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Sequence
 

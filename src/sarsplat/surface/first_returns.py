@@ -1,7 +1,5 @@
 """First returns of many views: at once on a GPU, where only sizes are copied to the CPU, or view by view on the CPU."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -175,7 +173,7 @@ def _heights(points: Float64[Tensor, "p 3"], terrain: Terrain | None) -> Float64
 class FirstReturnsOnCpu:
     """First returns of the rays of V views, all of them or those of a brick; interface of `FirstReturns`."""
 
-    views: Sequence[OfView]
+    views: "Sequence[OfView]"
 
     @classmethod
     def of(
@@ -243,7 +241,7 @@ class OfView:
     @classmethod
     def of(
         cls, scene: Scene, brick: Brick | None, view: View, grid: ImageGrid, rays: RayGrid, optical_depth: float
-    ) -> OfView:
+    ) -> "OfView":
         window = None if brick is None else brick.window(view, rays)
         gaussians = scene.gaussians if window is None else scene.met_by(window, view, rays)[1]
         (ray_map,) = traced(gaussians, [view], replace(grid, rows=1, columns=1), rays, optical_depth)

@@ -1,7 +1,5 @@
 """Surface from above: height and γ⁰ of its uppermost layer in each pixel of a map."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Masks of target and shadow, by comparing what target and ground return in each pixel."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Nearest neighbours of places: by scipy's k-d trees on the CPU, by cubes of space on other devices."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -102,7 +100,7 @@ class Tree:
         return torch.from_numpy(distance).square_(), torch.from_numpy(index)
 
 
-def neighbours_of(points: Float64[Tensor, "n 3"]) -> Tree | Neighbours:
+def neighbours_of(points: Float64[Tensor, "n 3"]) -> "Tree | Neighbours":
     """Search structure on the points' device."""
     return Tree(points) if cells.on_cpu(points) else Neighbours(points)
 

@@ -5,8 +5,6 @@ weighted by nearness and flatness, against directions in which the neighbouring 
 from the majority lose weight, so that two sides of an edge do not mix.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -4,8 +4,6 @@ At most 96 views are used, evenly chosen. In large scenes, rays and voxels are c
 and points grow with the scene, but rays are traced brick by brick, so that memory grows with the points alone.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 

@@ -1,7 +1,5 @@
 """Per-Gaussian visibility summed over views: lit area, mean γ⁰ and mean direction to the radar."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -70,7 +68,7 @@ class Seen:
     """Standard deviation of a Gaussian's weight in the space around it, m."""
 
     @classmethod
-    def of(cls, gaussians: Gaussians, views: Sequence[View], grid: ImageGrid) -> Seen:
+    def of(cls, gaussians: Gaussians, views: Sequence[View], grid: ImageGrid) -> "Seen":
         views = unstretched(views)
         gaussians, rays = gaussians.detach(), RayGrid.for_image(grid, _RAYS_PER_PIXEL)
         means, channel = gaussians.means.double(), gaussians.scattering.power_channel

@@ -3,8 +3,6 @@
 The address is a hash of the run's data, its settings and the source code that makes it.
 """
 
-from __future__ import annotations
-
 import ast
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """Sweep: do the missing runs of a plan on an executor, show their progress, and write tables."""
 
-from __future__ import annotations
-
 import re
 import threading
 import time
@@ -189,7 +187,7 @@ class Live:
         self._failed = 0
         self._thread = threading.Thread(target=self._watch, daemon=True)
 
-    def __enter__(self) -> Live:
+    def __enter__(self) -> "Live":
         self._thread.start()
         return self
 

@@ -1,7 +1,5 @@
 """Page of a sweep: table, figures of the swept settings, warnings, failures, and links to all reports."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Plan of a sweep: datasets, methods, settings and seeds to combine, read from a TOML file."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
@@ -92,7 +90,7 @@ class Plan(Record):
         """Copy of the plan and its parts for another device, "cpu" or "cuda"."""
         return replace(self, device=device, parts=tuple({**part, "device": device} for part in self.parts))  # type: ignore[arg-type]
 
-    def each_part(self) -> Iterator[Plan]:
+    def each_part(self) -> "Iterator[Plan]":
         """The plan itself, or its parts."""
         if not self.parts:
             yield self

@@ -1,7 +1,5 @@
 """Results of a sweep so far: a row for every run, and means with their spread over the seeds."""
 
-from __future__ import annotations
-
 import csv
 import io
 import statistics

@@ -1,7 +1,5 @@
 """One run of a sweep: train or resume it, score it, and write its row."""
 
-from __future__ import annotations
-
 import threading
 import time
 import traceback

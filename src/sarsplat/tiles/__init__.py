@@ -1,7 +1,5 @@
 """Rendering of large scenes by tiles."""
 
-from __future__ import annotations
-
 from sarsplat.tiles.plan import at_once
 from sarsplat.tiles.render import render_tiled
 from sarsplat.tiles.tile_cache import tiles_kept_in

@@ -1,7 +1,5 @@
 """Halos of Gaussians: bounding boxes of their footprints on the two planes of a view, to find those of a tile."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -30,7 +28,7 @@ class Window:
     def area(self) -> float:
         return math.prod(max(0.0, high - low) for low, high in zip(self.low, self.high, strict=True))
 
-    def joined(self, other: Window) -> Window:
+    def joined(self, other: "Window") -> "Window":
         low = (min(self.low[0], other.low[0]), min(self.low[1], other.low[1]))
         return Window(low, (max(self.high[0], other.high[0]), max(self.high[1], other.high[1])))
 
@@ -54,7 +52,7 @@ class Boxes:
             inside &= (low <= end) & (high >= begin)
         return inside.nonzero()[:, 0]
 
-    def of(self, index: Int64[Tensor, " k"]) -> Boxes:
+    def of(self, index: Int64[Tensor, " k"]) -> "Boxes":
         return Boxes(self.low[:, index], self.high[:, index])
 
     @property
@@ -72,13 +70,13 @@ class Halos:
     on_rays: Boxes
     in_image: Boxes
 
-    def of_rows(self, index: Int64[Tensor, " k"]) -> Halos:
+    def of_rows(self, index: Int64[Tensor, " k"]) -> "Halos":
         return Halos(self.on_rays.of(index), self.in_image.of(index))
 
     @classmethod
     def of(
         cls, gaussians: Gaussians, view: View, grid: ImageGrid, rays: RayGrid, shift: Float[Tensor, "1 2"] | None
-    ) -> Halos:
+    ) -> "Halos":
         count = len(gaussians)
         sides = torch.empty(2, 4, count, device=gaussians.means.device)
         with stage("where Gaussians reach", count) as reporter:

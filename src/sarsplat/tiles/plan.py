@@ -6,8 +6,6 @@ shade h/tan ψ of the ground behind them. Heights need not be known: all Gaussia
 (x_r, y_r) on the computation plane.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Rendering of a view by tiles, for scenes that are too large to be rendered at once."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Cache of finished tiles on disk, from which an interrupted rendering resumes."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import re

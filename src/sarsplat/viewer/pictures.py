@@ -1,7 +1,5 @@
 """Pictures of one view side by side: the rendering, the nearest measured image, their difference, and radar maps."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from html import escape
@@ -73,7 +71,7 @@ class Scale:
             f"{numbers}</div></div>"
         )
 
-    def panel(self, title: str, values: Real[np.ndarray, "rows columns"]) -> Panel:
+    def panel(self, title: str, values: Real[np.ndarray, "rows columns"]) -> "Panel":
         """Panel of values, with a colour bar."""
         return Panel(title, self.rgb(values), self.bar())
 

@@ -1,7 +1,5 @@
 """Viewer subjects from a folder: a dataset, a run of Gaussians, or a run of another method."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path

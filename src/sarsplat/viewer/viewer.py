@@ -1,7 +1,5 @@
 """Page with a radar to drag around a target, and the image that it would take."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence

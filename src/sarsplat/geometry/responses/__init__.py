@@ -1,7 +1,5 @@
 """Responses of the system; each is a file of this folder, registered by its `kind`."""
 
-from __future__ import annotations
-
 from importlib import import_module
 from pkgutil import iter_modules
 from typing import Any

@@ -1,7 +1,5 @@
 """Response of the system along one axis: power in the image of a point scatterer; a Gaussian by default."""
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields

@@ -1,7 +1,5 @@
 """Tabulated response, such as one measured at a corner reflector."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Response of an aperture and a band with Taylor weighting, which nearly all radars use."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Observations, which compare a model with images or stacks: each is a file of this folder."""
 
-from __future__ import annotations
-
 from sarsplat.learning.observations.observation import Batch, Observation
 from sarsplat.plugins import classes_in
 from sarsplat.settings.config import Config

@@ -1,7 +1,5 @@
 """Interface of an observation, which renders training images from the model and compares the two."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

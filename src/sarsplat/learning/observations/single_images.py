@@ -1,7 +1,5 @@
 """Observations of the power of single images: whole, or, after training the whole scene, the parts that show a tile."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Observation of stacks: covariances between passes, or polarisations."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import torch

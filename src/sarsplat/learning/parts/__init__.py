@@ -1,7 +1,5 @@
 """Parts of the scene model, such as target, ground and noise: classes in the files of this folder."""
 
-from __future__ import annotations
-
 import torch
 
 from sarsplat.learning.parts.part import Part

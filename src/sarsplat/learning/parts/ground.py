@@ -1,7 +1,5 @@
 """The ground, whose γ⁰ is learned: the plane at z = 0 or the dataset's terrain; and the second bounce by way of it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Nuisances of measured images: shift and gain of each image; side lobes and a noise floor of all."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Interface of a part of the model: its parameters, and its effect on scene, imaging conditions and images."""
 
-from __future__ import annotations
-
 from abc import ABC
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass

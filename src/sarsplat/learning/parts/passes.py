@@ -1,7 +1,5 @@
 """Nuisances of the passes of stacks: noise, known or learned, and phase screens."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """The target: Gaussians with learned means, orientations, scales, optical depths and scattering, and their dropout."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Texture: residuals of the training images that neighbouring images share, as maps on the ground."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from functools import cached_property
@@ -40,7 +38,7 @@ class Texture(Part):
     section = "surroundings"
     name = "texture"
     estimated = True
-    maps: Maps | None = None
+    maps: "Maps | None" = None
 
     @classmethod
     def wanted(cls, config: Config) -> bool:
@@ -99,7 +97,7 @@ class Maps:
         views: Sequence[View],
         grid: ImageGrid,
         settings: Surroundings,
-    ) -> Maps:
+    ) -> "Maps":
         sigma = [0.0, *(settings.texture_width * grid.cell_m / spacing for spacing in reversed(grid.spacing_m))]
         radius = [min(int(_TRUNCATED * s + 0.5), count) for s, count in zip(sigma, ratio.shape, strict=True)]
         smooth = gaussian_filter(ratio.cpu().double().numpy(), sigma, mode="nearest", radius=radius)

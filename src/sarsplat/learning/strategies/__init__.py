@@ -1,7 +1,5 @@
 """Strategies: changes of a model between steps of Adam, such as density control; each is one file of this folder."""
 
-from __future__ import annotations
-
 from sarsplat.data import Dataset
 from sarsplat.learning.strategies.strategy import Configured, Info, State, Strategy
 from sarsplat.plugins import classes_in

@@ -1,7 +1,5 @@
 """Refinement of the azimuths of training images that are known only to within some degrees."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Self

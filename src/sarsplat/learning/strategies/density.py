@@ -1,7 +1,5 @@
 """Density control as in 3D Gaussian splatting, with the paper's thresholds: clone, split, prune."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Self
 

@@ -1,7 +1,5 @@
 """Restriction of stacks of one direction to elevations, which phases determine, in the first steps."""
 
-from __future__ import annotations
-
 from typing import Self
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Growth and relocation: Gaussians are split where images of a finer level differ, and idle ones join strong ones."""
 
-from __future__ import annotations
-
 from typing import Self
 
 import torch

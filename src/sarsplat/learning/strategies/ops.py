@@ -4,8 +4,6 @@ They work on any dictionary of parameters; the optimiser lists those with a row 
 momentum. Each function returns the source of each row, so that other arrays can follow.
 """
 
-from __future__ import annotations
-
 import torch
 from jaxtyping import Bool, Float, Float64, Int64
 from torch import Tensor

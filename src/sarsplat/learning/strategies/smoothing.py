@@ -4,8 +4,6 @@ Inside a uniform surface gradients are noise, and Adam, whose steps do not depen
 along the normal. Smoothing undoes this; at edges, where images determine positions, the next steps restore them.
 """
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from typing import Self
 

@@ -1,7 +1,5 @@
 """Interface of a strategy, which changes a model between steps of Adam."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Texture estimation: at intervals, ratios of measured to rendered power become maps on the ground."""
 
-from __future__ import annotations
-
 from typing import Self
 
 import numpy as np

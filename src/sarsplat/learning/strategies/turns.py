@@ -4,8 +4,6 @@ Each pass has three unknowns, in standard deviations: rotations of the axis abou
 of rotation. Gauss-Newton steps minimise the images' differences and the deviations together.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -9,8 +9,6 @@ the whole scene, which is above the ground, and then the image with the transmit
 one call; in the steps of a rendering the scene and its image are one scene of 2 N Gaussians.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar

@@ -4,8 +4,6 @@ The engines render the direct return of the Gaussians in one pass, with lit area
 is an echo, whose images are added in the channel of power.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass

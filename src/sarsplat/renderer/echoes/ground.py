@@ -1,7 +1,5 @@
 """Echo of the ground, a plane or terrain: the Gaussians it hides, and its images where rays reach it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

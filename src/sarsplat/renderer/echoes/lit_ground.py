@@ -6,8 +6,6 @@ is uniform at any grazing angle and ray spacing, and a shadow's edge is right to
 the ground is lit.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -7,8 +7,6 @@ Intervals of neighbouring rays touch, but at summits, and overlap in layover. Th
 closed integral over an interval, so nothing depends on the ray spacing. Where no ray was traced, T_end is 1.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -52,7 +50,7 @@ class _Patches:
     @classmethod
     def of(
         cls, cells: Cells, view: View, rays: RayGrid, size: tuple[int, int], origin: tuple[float, float]
-    ) -> _Patches:
+    ) -> "_Patches":
         (dx, dy), frame = rays.spacing_m, view.look.frame
         x, y = ((first + 0.5) * step for first, step in zip(cells.first, rays.spacing_m))
         column, row = (

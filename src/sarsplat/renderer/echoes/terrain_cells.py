@@ -5,8 +5,6 @@ z_r = g cos θ − h sin θ. The ray at y_r ends at the first g that reaches thi
 terrain behind it is in shadow, and where z_r falls as y_r rises, there is layover. A plane is all lit.
 """
 
-from __future__ import annotations
-
 import math
 import threading
 from collections import OrderedDict

@@ -1,7 +1,5 @@
 """Structures and functions of the engine's C ABI in ctypes, parsed from csrc/api.h."""
 
-from __future__ import annotations
-
 import ctypes
 import re
 from collections.abc import Iterable, Iterator, Mapping

@@ -1,7 +1,5 @@
 """Bounds of a scene, with which a GPU renders without synchronising with the CPU."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -102,7 +100,7 @@ class Bounds:
         code = torch.where(bad.any(), bad.int().argmax() + _BAD_GAIN, -1)
         self.broken.copy_(torch.where(self.broken < 0, code, self.broken))
 
-    def capacity(self, gaussians: int, views: Sequence[View], grid: ImageGrid, rays: RayGrid) -> Capacity | None:
+    def capacity(self, gaussians: int, views: Sequence[View], grid: ImageGrid, rays: RayGrid) -> "Capacity | None":
         """Return the worst case of a rendering of this many Gaussians; None if it is too large to allocate."""
         every, chosen = candidates(views)
         deviations = math.sqrt(2 * math.log(max(1.0, self.optical_depth / MIN_RAY_DEPTH)))

@@ -1,7 +1,5 @@
 """Choice of the engine, for the renderer and for trainings."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

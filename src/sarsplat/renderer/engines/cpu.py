@@ -1,7 +1,5 @@
 """Loader of the CPU engine, which works on plain arrays."""
 
-from __future__ import annotations
-
 import ctypes
 import hashlib
 import sys

@@ -1,7 +1,5 @@
 """CUDA engine: the kernels of each step of a rendering, and the arrays between them."""
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Operations on a GPU: arrays and launches. To add one, write a function and list it in `OPERATIONS`."""
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Callable, Mapping
 from ctypes import c_int32, c_int64, c_void_p

@@ -1,7 +1,5 @@
 """Compilation of the CUDA engine at first use, with NVRTC from torch's CUDA builds, and the cache of it on disk."""
 
-from __future__ import annotations
-
 import ctypes
 import hashlib
 import os

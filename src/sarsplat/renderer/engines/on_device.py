@@ -3,8 +3,6 @@
 Views are chosen by a tensor on the device, so that a recorded step renders other views each time.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache, wraps

@@ -4,8 +4,6 @@ Most are an `Operation`: one structure of csrc/api.h, and the same in plain torc
 steps of a rendering (stages.py) are only `Call`s: their engines keep the state that the backward pass needs.
 """
 
-from __future__ import annotations
-
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Interface of an engine's passes."""
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol

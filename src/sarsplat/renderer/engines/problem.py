@@ -1,7 +1,5 @@
 """Problems: C structures of a call's arrays, grids and limits."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 from collections.abc import Sequence

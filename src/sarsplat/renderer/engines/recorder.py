@@ -1,7 +1,5 @@
 """Recording of training steps as CUDA graphs, which are replayed."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from contextlib import suppress

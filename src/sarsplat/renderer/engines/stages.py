@@ -1,7 +1,5 @@
 """Renderings and their steps as engine calls on plain tensors, with messages about rejected inputs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any, ClassVar

@@ -1,7 +1,5 @@
 """Trial of the CUDA engine on a GPU: a small scene and its gradients, compared with the CPU engine."""
 
-from __future__ import annotations
-
 import hashlib
 from functools import cache, partial
 from pathlib import Path
