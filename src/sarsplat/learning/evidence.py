@@ -19,8 +19,7 @@ from sarsplat.geometry import ImageGrid
 from sarsplat.learning.scene_frame import Levels
 from sarsplat.learning.trainer import Trainer
 from sarsplat.radiometry import to_db
-from sarsplat.settings.config import Config
-from sarsplat.settings.presets import PRESETS
+from sarsplat.settings import PRESETS, Config
 from sarsplat.settings.sections import Surroundings
 
 _SHARE = 0.1

@@ -14,8 +14,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn.functional import pad
 
-from sarsplat.gaussians import MAX_OPTICAL_DEPTH, Gaussians
-from sarsplat.gaussians.ground import Ground
+from sarsplat.gaussians import MAX_OPTICAL_DEPTH, Gaussians, Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.geometry.view import check_unstretched
 from sarsplat.renderer import Rendering, render

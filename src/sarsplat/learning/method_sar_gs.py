@@ -33,9 +33,8 @@ from sarsplat.learning.strategies.turns import TURN_CORRECTIONS, corrected_views
 from sarsplat.learning.trainer import Trainer
 from sarsplat.names import Speckle
 from sarsplat.regions.target_region import spans
-from sarsplat.renderer import GroundBounce, channel_of
+from sarsplat.renderer import GroundBounce, attenuate, channel_of, project
 from sarsplat.renderer.covariances import stacks_of
-from sarsplat.renderer.steps import attenuate, project
 from sarsplat.settings.config import DEFAULT_METHOD, OWN_LOOP, Config
 from sarsplat.settings.presets import preset
 from sarsplat.settings.sections import FlatGround

@@ -13,8 +13,7 @@ from torch import Tensor
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.examination.plausible import warn
-from sarsplat.gaussians import Gaussians, scattering_named
-from sarsplat.gaussians.ground import Ground
+from sarsplat.gaussians import Gaussians, Ground, scattering_named
 from sarsplat.gaussians.initialise import Region
 from sarsplat.geometry import ImageGrid, RayGrid, Stack, Terrain, View
 from sarsplat.learning.image_windows import Windows

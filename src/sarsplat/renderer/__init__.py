@@ -10,8 +10,7 @@ from torch import Tensor
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import Gaussians
-from sarsplat.gaussians.ground import Ground
+from sarsplat.gaussians import Gaussians, Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.checks import check_for_reference, check_options, check_shapes, check_values
 from sarsplat.renderer.covariances import render_covariances

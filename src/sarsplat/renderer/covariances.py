@@ -16,12 +16,10 @@ from torch import Tensor
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError, counted, shown
-from sarsplat.gaussians import MAX_OPTICAL_DEPTH, Gaussians
+from sarsplat.gaussians import MAX_OPTICAL_DEPTH, Gaussians, Scattering
 from sarsplat.gaussians.gaussians import rotation_matrix
 from sarsplat.gaussians.law_polarimetric import Polarimetric, covariances_between
-from sarsplat.gaussians.scattering import Scattering
-from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.geometry.stack import Stack
+from sarsplat.geometry import ImageGrid, RayGrid, Stack, View
 from sarsplat.renderer.constants import MIN_RAY_DEPTH
 from sarsplat.renderer.engines.choice import passes_for
 from sarsplat.renderer.engines.operation import Operation

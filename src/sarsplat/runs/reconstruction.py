@@ -9,10 +9,9 @@ from sarsplat.data import Dataset, read_dataset
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.examination.plausible import suspicions, warn
 from sarsplat.executors.executor import Means, executor_named
+from sarsplat.learning import Inputs, Trainer
 from sarsplat.learning.device_choice import device_named, quicker_device
 from sarsplat.learning.losses import Loss
-from sarsplat.learning.method import Inputs
-from sarsplat.learning.trainer import Trainer
 from sarsplat.progress import progress
 from sarsplat.runs.methods import method_named
 from sarsplat.runs.run import Run

@@ -23,12 +23,11 @@ from sarsplat.data import Dataset, read_dataset
 from sarsplat.data.files import locked, plain_os_errors
 from sarsplat.errors import SarsplatError
 from sarsplat.executors.executor import Work
+from sarsplat.learning import Inputs, Trainer
 from sarsplat.learning.device_choice import device_named
 from sarsplat.learning.losses import Loss
-from sarsplat.learning.method import Inputs
 from sarsplat.learning.observations.single_images import PartsOfImages, Tile, merged, rows_in, tiles_of, with_some
 from sarsplat.learning.snapshot import Snapshot
-from sarsplat.learning.trainer import Trainer
 from sarsplat.progress import Reporter, progress
 from sarsplat.runs.run import Run
 from sarsplat.runs.run_folder import HEADER, LogLine, RunFolder

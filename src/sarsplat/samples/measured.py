@@ -10,9 +10,8 @@ import numpy as np
 from jaxtyping import Complex64
 
 from sarsplat.arguments import checks_arguments
-from sarsplat.data import Dataset, new_folder, read_dataset
+from sarsplat.data import Dataset, new_folder, read_dataset, write_bytes, write_json
 from sarsplat.data.dataset_folder import HEADER
-from sarsplat.data.files import write_bytes, write_json
 from sarsplat.data.sidecar import UNPLACED, read_unplaced, unplaced_in
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 from sarsplat.extras import program_version

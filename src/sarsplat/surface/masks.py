@@ -8,8 +8,7 @@ import torch
 from jaxtyping import Real, UInt8
 from scipy.spatial import cKDTree
 
-from sarsplat.gaussians import Gaussians
-from sarsplat.gaussians.ground import Ground
+from sarsplat.gaussians import Gaussians, Ground
 from sarsplat.geometry import CLUTTER, SHADOW, TARGET, ImageGrid, RayGrid, Terrain, View
 from sarsplat.geometry.terrain import heights_of
 from sarsplat.renderer import render

@@ -15,8 +15,7 @@ from jaxtyping import Int64
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import MAX_OPTICAL_DEPTH, Gaussians
-from sarsplat.gaussians.ground import Ground
+from sarsplat.gaussians import MAX_OPTICAL_DEPTH, Gaussians, Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.constants import MIN_RAY_DEPTH
 from sarsplat.tiles.halo import NOWHERE, Halos, Window

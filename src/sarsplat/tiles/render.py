@@ -9,8 +9,7 @@ from torch import Tensor
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import Gaussians
-from sarsplat.gaussians.ground import Ground
+from sarsplat.gaussians import Gaussians, Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.geometry.view import check_unstretched
 from sarsplat.progress import stage

@@ -20,8 +20,7 @@ from sarsplat.gaussians import Gaussians, Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.learning import Trainer
 from sarsplat.learning.model import SceneModel
-from sarsplat.radar import Pixel, RadarMaps, Surface, radar_maps, surface_of_mesh
-from sarsplat.radar.iso_range import contributions
+from sarsplat.radar import Pixel, RadarMaps, Surface, contributions, radar_maps, surface_of_mesh
 from sarsplat.radiometry import white_level
 from sarsplat.regions.target_region import target_region
 from sarsplat.renderer import GroundBounce

@@ -11,8 +11,7 @@ from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
 from sarsplat.data import Dataset
-from sarsplat.gaussians import Gaussians
-from sarsplat.gaussians.ground import Ground
+from sarsplat.gaussians import Gaussians, Ground
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.learning.scene_frame import SceneFrame
 from sarsplat.renderer import Bounds

@@ -18,9 +18,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import Gaussians, Harmonics
+from sarsplat.gaussians import Gaussians, Ground, Harmonics
 from sarsplat.gaussians.gaussians import check_same_kind
-from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.geometry.view import check_unstretched
 from sarsplat.renderer.echoes.echo import Echo, Sighting

@@ -9,9 +9,8 @@ import torch
 from jaxtyping import Float, Float64
 from torch import Tensor
 
-from sarsplat.gaussians import Gaussians
+from sarsplat.gaussians import Gaussians, Ground
 from sarsplat.gaussians.gaussians import check_same_kind
-from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.renderer.echoes.echo import Echo, Sighting
 from sarsplat.renderer.echoes.lit_ground import lit_ground
