@@ -16,21 +16,10 @@ _CGROUPS = (  # version 2, and 1: prefix of its line in /proc/self/cgroup, its f
 
 
 def required(what: str, needed_bytes: float, remedy: str) -> str | None:
-    """Return a line on the memory that work will take, or None if that is little.
+    """Return a line on the memory that `what`, such as "extracting the surface", will take; None if that is little.
 
-    Parameters
-    ----------
-    what : str
-        The work, such as "extracting the surface".
-    needed_bytes : float
-        Estimated peak beyond the memory in use already.
-    remedy : str
-        How to need less; it ends the error.
-
-    Raises
-    ------
-    SarsplatError
-        If it exceeds the free memory.
+    `needed_bytes` is the estimated peak beyond the memory in use. Raise if it exceeds the free memory; `remedy`, how to
+    need less, ends the error.
     """
     free, needed = free_bytes() / 2**30, needed_bytes / 2**30
     if needed > free:

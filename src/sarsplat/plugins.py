@@ -72,21 +72,9 @@ class Plugins(Mapping[str, Any]):
 def discover(package: str, prefix: str, attribute: str, group: str, *more_packages: str) -> Plugins:
     """Return the plugins of our packages, named after their files, and of other packages, by entry points.
 
-    Parameters
-    ----------
-    package, more_packages : str
-        Packages to search.
-    prefix : str
-        Start of the names of their modules: with `method_`, the module `method_sar_nerf` is the plugin `sar-nerf`.
-    attribute : str
-        Name of the plugin in each module.
-    group : str
-        Group of the entry points, `name = "module:attribute"`.
-
-    Warns
-    -----
-    SarsplatWarning
-        At first use, if the name of an entry point is already in use; that one is ignored.
+    Files begin with `prefix`: with `method_`, the module `method_sar_nerf` is the plugin `sar-nerf`; `attribute` names
+    it in its module. Entry points are `name = "module:attribute"` in `group`; one whose name is already in use is
+    ignored, with a SarsplatWarning at first use.
     """
     return Plugins(partial(_search, (package, *more_packages), prefix, attribute, group))
 

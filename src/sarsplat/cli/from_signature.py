@@ -109,18 +109,11 @@ _UNITS = {"_m": "METRES", "_deg": "DEGREES"}
 
 
 def command_of(module: str, function: str, *, reading: str = "", **options: Option) -> Callable[..., int]:
-    """Return the command that calls an importer.
+    """Return the command, of the module `__name__`, that calls an importer.
 
-    Parameters
-    ----------
-    module : str
-        Module of the command: `__name__`.
-    function : str
-        The importer, such as "sarsplat.importers.sicd:import_sicd"; its defaults must be literals.
-    reading : str
-        Start of the progress message, such as "chips from "; an importer that can be quiet shows its progress.
-    options : Option
-        Options of parameters that differ from the usual ones, by name.
+    `function` is the importer, such as "sarsplat.importers.sicd:import_sicd"; its defaults must be literals. `reading`
+    begins the progress message, such as "chips from "; an importer that can be quiet shows its progress. `options` are
+    those of parameters that differ from the usual ones, by name.
     """
     home, name = function.split(":")
     stub = _without_body(home, name)

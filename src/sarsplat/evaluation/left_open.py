@@ -149,10 +149,8 @@ def _known(
 def missing(run: Run) -> Float64[np.ndarray, "k 3"]:
     """Places of objects that images show and points lack, m, brightest first.
 
-    Raises
-    ------
-    UndefinedScore
-        If the run has no Gaussians; if its training images are stacks, have changed, or do not show the origin.
+    Raises `UndefinedScore` if the run has no Gaussians; if its training images are stacks, have changed, or do not show
+    the origin.
     """
     model = run.model
     if model is None:

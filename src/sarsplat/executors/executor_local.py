@@ -105,18 +105,9 @@ def _gpus() -> list[dict[str, str]]:
 class Worker:
     """Handle of a worker process, which starts with the first job and again after it has died.
 
-    Parameters
-    ----------
-    work : str
-        Address of the `Work` of all its jobs.
-    out : Path
-        Output folder of the jobs.
-    again : bool
-        Retry failed jobs.
-    at_a_time : int
-        Number of jobs at a time, each asked from another thread.
-    environment : mapping of str to str
-        Environment variables that differ in the process.
+    `work` is the address of the `Work` of all its jobs, `out` their output folder. With `again`, failed jobs are
+    retried. It does `at_a_time` jobs at a time, each asked from another thread. `environment` holds the environment
+    variables that differ in the process.
     """
 
     def __init__(

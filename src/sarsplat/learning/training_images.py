@@ -22,20 +22,8 @@ _FAINTEST = 1e-30
 class TrainingImages:
     """Training images of a dataset on a device; raises if they are black.
 
-    Attributes
-    ----------
-    views : tuple of View
-        Views of the images, as refined so far.
-    grid : ImageGrid
-        Grid of the images.
-    truth : Tensor, float32 [K, rows, columns]
-        β⁰, linear power.
-    numbers : Tensor, int64 [K]
-        0, 1, … on the device.
-    brightest : float
-        Largest β⁰.
-    samples : float
-        Independent samples of speckle in each image.
+    `views`, as refined so far, and `grid`; `truth`, float32 [K, rows, columns], β⁰ in linear power, and `brightest`,
+    the largest; `numbers`, int64 [K], 0, 1, … on the device; `samples`, independent samples of speckle in each image.
     """
 
     def __init__(self, dataset: Dataset, device: torch.device) -> None:

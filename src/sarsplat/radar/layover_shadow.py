@@ -41,30 +41,13 @@ _ALONG_AN_EDGE = 1e-9
 def layover_shadow(
     heights_m: Float[np.ndarray, "rows columns"], pitch_m: tuple[float, float], view: View
 ) -> UInt8[np.ndarray, "rows columns"]:
-    """Classes of the places of a map for one view, by the heights between the radar and them.
+    """Classes of the places of a map for one view: uint8, 0 neither, 1 shadow, 2 layover, 3 both, 255 unknown.
 
     A place is in shadow if a nearer one reaches above its line of sight, and in layover if another place has the same
     azimuth and slant range: a slope that faces the radar, and the places that it shares pixels with.
 
-    Parameters
-    ----------
-    heights_m : numpy.ndarray, float [rows, columns]
-        Heights z, m; columns along +x and rows along −y, as on maps. NaN is unknown; such places hide nothing and
-        cause no layover.
-    pitch_m : (float, float)
-        Distance of the places along x and y, m.
-    view : View
-        From where: level.
-
-    Returns
-    -------
-    numpy.ndarray, uint8 [rows, columns]
-        0 neither, 1 shadow, 2 layover, 3 both, 255 unknown.
-
-    Raises
-    ------
-    SarsplatError
-        If the view is tilted or from below, or the map is too large.
+    Heights are z, m; columns along +x and rows along −y, as on maps, `pitch_m` apart along x and y. NaN is unknown;
+    such places hide nothing and cause no layover. Raise if the view is tilted or from below, or the map is too large.
     """
     if view.tilt_deg or view.grazing_deg <= 0:
         raise SarsplatError(

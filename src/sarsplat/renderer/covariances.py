@@ -121,16 +121,10 @@ def stacks_of(law: Scattering, views: Sequence[View], stack: Stack | Sequence[St
 class Planes:
     """Expected covariances of the channels of stacks, without noise, as images that channels share.
 
-    Attributes
-    ----------
-    powers : Tensor [V, K, rows, columns]
-        Diagonal elements: β⁰ of each polarisation.
-    pairs : Tensor [V, 2 D, rows, columns]
-        Off-diagonal elements of channels i < j: real and imaginary parts in turn.
-    of_channels, of_pairs : tuple of int
-        Indices into the K powers by channel, and into the D pairs by pair of channels, in order of rows.
-    turns : Tensor [V, P, rows]
-        Phases of the channels that depend on range alone, rad.
+    `powers` [V, K, rows, columns] are diagonal elements: β⁰ of each polarisation. `pairs` [V, 2 D, rows, columns] are
+    off-diagonal elements of channels i < j: real and imaginary parts in turn. `of_channels` and `of_pairs` are indices
+    into the K powers by channel, and into the D pairs by pair of channels, in order of rows. `turns` [V, P, rows] are
+    phases of the channels that depend on range alone, rad.
     """
 
     powers: Float[Tensor, "v k rows columns"]

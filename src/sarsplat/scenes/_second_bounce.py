@@ -59,20 +59,11 @@ class _Points:
 
 
 class SecondBounce:
-    """Second bounces of one mesh, from any views.
+    """Second bounces of one mesh, without ground, from any views.
 
-    Parameters
-    ----------
-    mesh : trimesh.Trimesh
-        Target without ground.
-    law, factors
-        γ of its facets, and the factor of each.
-    patches : Patches
-        Patches of the mesh.
-    spacing, offset, resolution_m
-        Spacing and offset of the rays, and resolution of the images (azimuth, range), m.
-    ground_reflectivity : float or None
-        |Γ|² of level ground at z = 0; None where there is no ground.
+    `law` is γ of its facets, and `factors` the factor of each. Rays have this `spacing` and `offset`, images this
+    `resolution_m` (azimuth, range), m. `ground_reflectivity` is |Γ|² of level ground at z = 0; None where there is no
+    ground.
     """
 
     def __init__(

@@ -40,26 +40,15 @@ def surface_normals(
     cell_m: float,
     apart_m: float | None = None,
 ) -> Float64[np.ndarray, "p 3"]:
-    """Unit normals of the surface at its points.
+    """Unit normals of the surface at its points [P, 3], world frame, m; float64.
 
-    Parameters
-    ----------
-    points : numpy.ndarray [P, 3]
-        World frame, m.
-    towards : numpy.ndarray [P, 3]
-        Directions to the radar that sees each point, of any length; zero means up. Normals are on this side.
-    gaussians : Gaussians
-        Gaussians of the surface, on the device that calculates; if empty, normals come from the points alone.
-    cell_m : float
-        Resolution cell of the images, m: unit of the neighbourhoods.
-    apart_m : float, optional
-        Spacing of the whole cloud, m, of which these points may be a part (`spacing_m`); by default that of these.
+    Normals are on the side of `towards`, directions of any length to the radar that sees each point; zero means up. If
+    `gaussians`, on the device that calculates, are empty, normals come from the points alone. The resolution cell
+    `cell_m` is the unit of the neighbourhoods; `apart_m` is the spacing of the whole cloud (`spacing_m`), of which
+    these points may be a part, by default that of these.
 
-    Returns
-    -------
-    numpy.ndarray, float64 [P, 3]
-        Points without neighbours and Gaussians around get `towards`. Normals in one cube of 0.15 to 0.4 resolution
-        cells are equal up to their sign.
+    Points without neighbours and Gaussians around get `towards`. Normals in one cube of 0.15 to 0.4 resolution cells
+    are equal up to their sign.
     """
     if len(points) == 0:
         return np.empty((0, 3))

@@ -29,14 +29,9 @@ _MIN_NOISE = 1e-6
 class StackImages(TrainingImages):
     """Training stacks of a dataset on a device.
 
-    Attributes
-    ----------
-    stacks : tuple of Stack
-        Stack of each image.
-    plane_phases : K tensors [P, rows, columns]
-        Phases of level ground, rad, by which stacks are deramped.
-    measured : K tensors [P², rows, columns]
-        Covariances y_i y_j*, deramped and averaged around each pixel, `packed`, linear power.
+    Of each image: `stacks`; `plane_phases` [P, rows, columns], phases of level ground, rad, by which stacks are
+    deramped; `measured` [P², rows, columns], covariances y_i y_j*, deramped and averaged around each pixel, `packed`,
+    linear power.
     """
 
     def __init__(self, dataset: Dataset, window: int, together: int, device: torch.device) -> None:

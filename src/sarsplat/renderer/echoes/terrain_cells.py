@@ -53,13 +53,9 @@ _CACHE_BYTES = 1 << 30
 class Cells:
     """Slant ranges at which the rays of one view end, in cells δx wide and δy high of their lattice.
 
-    Parameters
-    ----------
-    first : (int, int)
-        The ray in row 0, column 0 stands at ((first[0] + ½) δx, (first[1] + ½) δy), as in the engines' lattices.
-    low_m, high_m : Tensor [rows, columns]
-        Slant ranges at which a cell's lower and upper edges end, float32, on the CPU, m. The cell's ground is between
-        them; in layover `high_m` is smaller.
+    The ray in row 0, column 0 stands at ((first[0] + ½) δx, (first[1] + ½) δy), as in the engines' lattices. A cell's
+    lower and upper edges end at `low_m` and `high_m` [rows, columns], float32, on the CPU; its ground is between them;
+    in layover `high_m` is smaller.
     """
 
     first: tuple[int, int]

@@ -63,12 +63,7 @@ def passes_for(
     """Return the constructor of passes of an engine over these tensors and images on the grid; None for plain torch.
 
     "auto" fits the dtype and the device of the first tensor. `Operation.on` also uses plain torch for operations that
-    the engine does not have.
-
-    Raises
-    ------
-    SarsplatError
-        If the engine is unknown, is not available, or does not take the tensors.
+    the engine does not have. Raise if the engine is unknown, is not available, or does not take the tensors.
     """
     chosen = chosen_engine(name, next(tensor for tensor in tensors.values() if tensor is not None))
     return ENGINES[chosen].prepare(tensors, grid, instruction_set) if chosen in ENGINES else None
@@ -83,10 +78,7 @@ def recorder_for(like: Tensor) -> Recorder | None:
 def chosen_engine(name: str, like: Tensor) -> str:
     """Return the engine's name: for "auto", the one that fits the dtype and the device of the tensor.
 
-    Raises
-    ------
-    SarsplatError
-        If the name is unknown, or the engine of "auto" did not pass its check.
+    Raise if the name is unknown, or the engine of "auto" did not pass its check.
     """
     if name == "auto":
         return _fitting(like.dtype, like.device)

@@ -37,10 +37,7 @@ _NO_MEMORY = "there is not enough memory for the rendering; render fewer views a
 def library() -> ctypes.CDLL:
     """Load the compiled engine on torch's threads; on a single one, with a warning, if torch does not share them.
 
-    Raises
-    ------
-    SarsplatError
-        If it is missing, does not fit this machine, or was built from another csrc/api.h.
+    Raise if it is missing, does not fit this machine, or was built from another csrc/api.h.
     """
     try:
         lib = ctypes.CDLL(str(LIBRARY))

@@ -40,13 +40,7 @@ class Launcher(Protocol):
 
 
 class Device:
-    """Kernels of one GPU.
-
-    Raises
-    ------
-    SarsplatError
-        If the driver, NVRTC or the device is missing.
-    """
+    """Kernels of one GPU; raises if the driver, NVRTC or the device is missing."""
 
     def __init__(self, device: torch.device) -> None:
         self.device = device

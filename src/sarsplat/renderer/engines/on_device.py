@@ -85,12 +85,7 @@ def kept_on_device(maxsize: int) -> Callable[[Callable[P, T]], Callable[P, T]]:
 class ChosenViews(Sequence[View]):
     """V of the views of a training, which may be rendered but not read on the CPU.
 
-    Parameters
-    ----------
-    views : tuple of View
-        All K candidates.
-    numbers : Tensor, int64 [V]
-        Indices of the rendered views, on the device; they change between replays.
+    `views` are all K candidates; `numbers`, int64 [V] on the device, the rendered ones, which change between replays.
     """
 
     item_type = View

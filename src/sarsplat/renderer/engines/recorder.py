@@ -117,12 +117,7 @@ class CudaRecorder:
 class Told:
     """Numbers on a device that change between replays, and are sent as arguments of a launch.
 
-    Parameters
-    ----------
-    recorder : Recorder
-        Recorder of the device.
-    sizes : dict of str to (torch.dtype, int)
-        Dtype, of 4 or 8 bytes, and count of the numbers, by name.
+    `sizes` are dtype, of 4 or 8 bytes, and count of the numbers, by name.
     """
 
     def __init__(self, recorder: Recorder, sizes: dict[str, tuple[torch.dtype, int]]) -> None:
