@@ -5,7 +5,7 @@ from scipy.spatial import cKDTree
 from sarsplat import ImageGrid, View
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation import Yardstick, all_metrics, metrics_of_points, point_metrics, visible_surface
-from sarsplat.evaluation.points import surface_distance, thin
+from sarsplat.evaluation.points import first_of_voxels, surface_distance
 
 trimesh = pytest.importorskip("trimesh")
 
@@ -106,7 +106,7 @@ def test_samples_near_and_far_find_the_nearest_point(count: int, middle_m: float
     generator = np.random.default_rng(count)
     points = generator.normal(size=(count, 3)) * [6, 2, 0.01] + middle_m
     samples = np.concatenate([points[:3000] + 0.01, generator.normal(size=(3000, 3)) * 30 + middle_m])
-    nearest = cKDTree(thin(points, YARDSTICK.voxel_m)).query(samples)[0]
+    nearest = cKDTree(points[first_of_voxels(points, YARDSTICK.voxel_m)]).query(samples)[0]
     scores = point_metrics(points, SQUARE + middle_m, samples, YARDSTICK)
     assert scores.completeness_m == pytest.approx(nearest.mean(), rel=1e-7)
     assert scores.recall[0.3] == np.mean(nearest <= 0.3)
@@ -121,7 +121,7 @@ def test_triangles_without_area_are_ignored():
 
 def test_one_point_per_voxel_is_kept_the_first():
     points = np.array([[0.011, 0, 0], [-0.001, 0, 0], [0.001, 0, 0], [0.019, 0.019, 0.019], [0.021, 0, 0]])
-    assert np.array_equal(thin(points, 0.02), points[[0, 1, 4]])
+    assert first_of_voxels(points, 0.02).tolist() == [0, 1, 4]
     crowded = np.repeat(lattice(10), 5, axis=0)
     assert point_metrics(crowded, SQUARE, lattice(5), YARDSTICK).count == 100
 

@@ -12,11 +12,8 @@ pixel and a few tenths of their power. These errors would dominate the scores, s
 pixels and multiplied by one factor to fit its chip best.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -29,9 +26,7 @@ from sarsplat.data import Dataset, Masks
 from sarsplat.errors import SarsplatError
 from sarsplat.learning.losses import SSIM_WINDOW, structural_similarity
 from sarsplat.radiometry import brighter, to_db
-
-if TYPE_CHECKING:
-    from sarsplat.runs import Run
+from sarsplat.runs import Run
 
 Stack = Real[np.ndarray, "v rows columns"]
 """Images of V views; equal sizes within one call."""

@@ -10,10 +10,7 @@ point. A place shows a missing object if the excess, averaged over the views in 
 deviations of its noise. Patches connected at half of that are one object.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -22,16 +19,15 @@ from scipy.ndimage import center_of_mass, label, maximum
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from sarsplat.data import Dataset
 from sarsplat.evaluation.images import UndefinedScore
 from sarsplat.geometry import ImageGrid, RayGrid
 from sarsplat.learning.batching import in_groups
+from sarsplat.learning.model import SceneModel
 from sarsplat.radiometry import to_db, usual_peak
 from sarsplat.regions.image_levels import seen_by_all, smoothed, typical, values_at
 from sarsplat.renderer import channel_of
-
-if TYPE_CHECKING:
-    from sarsplat.learning.model import SceneModel
-    from sarsplat.runs import Run
+from sarsplat.runs import Run
 
 _RADIUS = 4.0
 """Radius of a place's surroundings, resolution cells."""
@@ -79,22 +75,30 @@ def undetermined(run: Run) -> float:
 
 def places(run: Run) -> tuple[Float32[np.ndarray, "p 3"], Bool[np.ndarray, " p"]]:
     """Random points, and a mask of those whose height is not determined."""
-    model = run.model
-    if model is None:
-        raise UndefinedScore("the dependence of images on the surface is known for Gaussians only")
-    points = run.points
-    if len(points) == 0 or "train" not in run.dataset.splits():
-        raise UndefinedScore("there are no points, or no training images")
-    train = run.dataset.select("train")
-    if train.interferometric or len(model.frame.views) != len(train.views):
-        raise UndefinedScore("heights come from phases, or from other images than the dataset's")
-    cell_m = model.frame.grid.cell_m
+    model, train = _learned(run)
+    points, cell_m = run.points, model.frame.grid.cell_m
+    if len(points) == 0:
+        raise UndefinedScore("there are no points")
     tested = points[np.random.default_rng(0).permutation(len(points))[:_PLACES]]
     distance, nearest = cKDTree(points).query(model.parameters["means"].detach().cpu().numpy())
     outwards = np.where((distance < 2 * cell_m)[:, None], run.normals[nearest], 0).astype(np.float32)
     information = _information(model, run.iteration, torch.from_numpy(outwards).to(model.device), train.power)
     means = model.parameters["means"].detach().cpu().double().numpy()
     return tested, _known(means, information, tested, cell_m) < 1
+
+
+def _learned(run: Run) -> tuple[SceneModel, Dataset]:
+    """Model of a run and its training images; raise `UndefinedScore` if power of these images did not make it."""
+    if run.model is None:
+        raise UndefinedScore("the dependence of images on the surface is known for Gaussians only")
+    if "train" not in run.dataset.splits():
+        raise UndefinedScore("there are no training images")
+    train = run.dataset.select("train")
+    if train.interferometric or len(run.model.frame.views) != len(train.views):
+        raise UndefinedScore(
+            "the training images are interferometric stacks, or the dataset has changed since the training"
+        )
+    return run.model, train
 
 
 def _information(
@@ -152,16 +156,7 @@ def missing(run: Run) -> Float64[np.ndarray, "k 3"]:
     Raises `UndefinedScore` if the run has no Gaussians; if its training images are stacks, have changed, or do not show
     the origin.
     """
-    model = run.model
-    if model is None:
-        raise UndefinedScore("missing objects can be found for scenes of Gaussians only")
-    if "train" not in run.dataset.splits():
-        raise UndefinedScore("there are no training images")
-    train = run.dataset.select("train")
-    if train.interferometric or len(model.frame.views) != len(train.views):
-        raise UndefinedScore(
-            "the training images are interferometric stacks, or the dataset has changed since the training"
-        )
+    model, train = _learned(run)
     grid = model.frame.grid
     half = seen_by_all(model.frame.views, grid)
     if half <= 0:

@@ -138,7 +138,7 @@ class Cloud:
             raise SarsplatError(f"{len(points)} points have {len(normals)} normals; give one for each, or none")
         if normals is not None:
             _check("normals of the points", normals)
-        first = _first_of_voxels(points, yardstick.voxel_m)
+        first = first_of_voxels(points, yardstick.voxel_m)
         first = first[order_in_space(points[first].astype(np.float64))]
         self._points = points[first].astype(np.float64)
         self._normals = None if normals is None else normals[first].astype(np.float64)
@@ -202,12 +202,8 @@ def order_in_space(points: Float64[np.ndarray, "p 3"]) -> Int64[np.ndarray, " p"
     return cKDTree(points, leafsize=64, compact_nodes=False, balanced_tree=False).indices
 
 
-def thin(points: Float[np.ndarray, "p 3"], voxel: float) -> Float[np.ndarray, "fewer 3"]:
-    """Keep the first point of every voxel (edge in m, anchored at the origin), in order, float64 [≤ P, 3]."""
-    return points[_first_of_voxels(points, voxel)].astype(np.float64)
-
-
-def _first_of_voxels(points: Float[np.ndarray, "p 3"], voxel: float) -> Int64[np.ndarray, " fewer"]:
+def first_of_voxels(points: Float[np.ndarray, "p 3"], voxel: float) -> Int64[np.ndarray, " fewer"]:
+    """Indices of the first point of every voxel (edge in m, anchored at the origin), in order."""
     cells = np.floor(points / voxel).astype(np.int64)
     return np.sort(np.unique(numbered(torch.from_numpy(cells)).numpy(), return_index=True)[1])
 

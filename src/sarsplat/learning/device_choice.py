@@ -1,23 +1,18 @@
 """Choice of the device for training and rendering, by name or by timing steps."""
 
-from __future__ import annotations
-
 import time
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
-from typing import TYPE_CHECKING
 
 import torch
 
 from sarsplat.errors import SarsplatError, SarsplatWarning, shown
+from sarsplat.learning.method import Trainable
 from sarsplat.renderer.engines import cpu
 from sarsplat.renderer.engines.cuda_device import require_cuda
 from sarsplat.renderer.engines.trial import objection
-
-if TYPE_CHECKING:
-    from sarsplat.learning.method import Trainable
 
 _UNTIMED = 3
 """Untimed first steps on a GPU, which compile, copy and record a CUDA graph."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NotRequired, TypedDict
@@ -20,6 +20,7 @@ from sarsplat.data import read_json, read_points_ply, read_versioned_json, write
 from sarsplat.data.files import open_file, plain_os_errors
 from sarsplat.data.header import PlaceHeader
 from sarsplat.errors import SarsplatError, counted
+from sarsplat.settings.record import dotted
 from sarsplat.threads import decode
 
 if TYPE_CHECKING:
@@ -323,7 +324,7 @@ def distinguished(headers: Sequence[Header], with_method: bool = True) -> list[s
     for header in headers:
         datasets.setdefault(Path(_dataset(header)).name, set()).add(_dataset(header))
         values_of_kind = values.setdefault(_kind(header), {})
-        for name, value in _dotted(header.config):
+        for name, value in dotted(header.config):
             values_of_kind.setdefault(name, []).append(str(value))
     kind_counts = Counter(map(_kind, headers))
     names = []
@@ -332,7 +333,7 @@ def distinguished(headers: Sequence[Header], with_method: bool = True) -> list[s
         words = [name or "images in memory"]
         words += [header.method] if with_method and len(methods) > 1 else []
         words += [header.config["preset"]] if len(presets) > 1 and "preset" in header.config else []
-        settings = ((name, value) for name, value in _dotted(header.config) if name not in ("preset", "seed"))
+        settings = ((name, value) for name, value in dotted(header.config) if name not in ("preset", "seed"))
         for setting, value in settings:
             given, (section, dot, _) = values[_kind(header)][setting], setting.partition(".")
             if len({*given}) > 1 or (len(given) < kind_counts[_kind(header)] and not dot):
@@ -350,11 +351,3 @@ def _kind(header: Header) -> tuple[str, str, str]:
 
 def _dataset(header: Header) -> str:
     return header.dataset or ""
-
-
-def _dotted(settings: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
-    for name, value in settings.items():
-        if isinstance(value, dict):
-            yield from _dotted(value, f"{before}{name}.")
-        else:
-            yield f"{before}{name}", value

@@ -144,3 +144,12 @@ def _allowed(hint: Any) -> str:
     if len(_choices(hint)) > 1:
         return " or ".join("nothing" if choice is type(None) else _allowed(choice) for choice in _choices(hint))
     return "text" if hint is str else f"an object with {', '.join(_hints(hint))}"
+
+
+def dotted(settings: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    """Flatten nested settings to dotted names, such as `rates.means`."""
+    for name, value in settings.items():
+        if isinstance(value, dict):
+            yield from dotted(value, f"{before}{name}.")
+        else:
+            yield f"{before}{name}", value

@@ -12,7 +12,7 @@ from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.settings.config import DEFAULT_METHOD
 from sarsplat.settings.kinds import Seed
-from sarsplat.settings.record import Record
+from sarsplat.settings.record import Record, dotted
 
 _MARK = "dataset.json"
 _OWN = {"seed": "seeds", "preset": "preset"}
@@ -102,10 +102,10 @@ class Plan(Record):
 
     def each_method(self) -> Iterator[tuple[str, dict[str, Any]]]:
         """The name of every method with its settings, whose names are dotted."""
-        common = dict(_dotted(self.settings))
+        common = dict(dotted(self.settings))
         own = self.methods if isinstance(self.methods, Mapping) else {name: {} for name in self.methods}
         for name, settings in own.items():
-            yield name, common | dict(_dotted(settings))
+            yield name, common | dict(dotted(settings))
 
     def each_choice(self, settings: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
         """Every preset with every combination of the swept values."""
@@ -146,12 +146,3 @@ def read_toml(path: Path) -> dict[str, Any]:
             return tomllib.loads(file.read().decode())
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise SarsplatError(f"{path} is not a TOML file ({error}); correct it") from error
-
-
-def _dotted(settings: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
-    """Flatten nested tables to dotted names, such as `rates.means`."""
-    for name, value in settings.items():
-        if isinstance(value, dict):
-            yield from _dotted(value, f"{before}{name}.")
-        else:
-            yield f"{before}{name}", value

@@ -54,13 +54,7 @@ class AzimuthRefinement(Configured):
         first, last = s.azimuth_from * self._iterations, s.azimuth_until * self._iterations
         return s.azimuth_rounds > 0 and at_round(step, first, last, s.azimuth_rounds - 1)
 
-    def step_post_backward(
-        self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
-    ) -> None:
-        if not self.due(step):
-            return
-        info.check()
-
+    def act(self, params: dict[str, Tensor], optimizers: Optimiser, state: State, info: Info) -> None:
         def nats(views: Sequence[View], numbers: Int64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
             batches = [speckle_nats(rendered, measured) for measured, rendered in info.compared(views, numbers)]
             return torch.cat(batches).double().cpu().numpy() * info.images.samples

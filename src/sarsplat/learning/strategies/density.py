@@ -56,17 +56,13 @@ class DensityControl(Configured):
         state.rows["gradient"] += (total.norm(dim=-1) * half * lit).sum(0)
         state.rows["seen"] += lit.sum(0)
 
-    def step_post_backward(
-        self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
-    ) -> None:
-        if self.due(step):
-            info.check()
-            pruned, cloned, divided = self.decide(info.model.target(0).detach(), info.images.grid, state)
-            source = ops.duplicate(params, optimizers, state, cloned)
-            pruned, divided = pruned[source], divided[source]
-            source = ops.split(params, optimizers, state, divided, info.generator)
-            ops.remove(params, optimizers, state, pruned[source])
-            state.rows = {name: torch.zeros_like(rows) for name, rows in state.rows.items()}
+    def act(self, params: dict[str, Tensor], optimizers: Optimiser, state: State, info: Info) -> None:
+        pruned, cloned, divided = self.decide(info.model.target(0).detach(), info.images.grid, state)
+        source = ops.duplicate(params, optimizers, state, cloned)
+        pruned, divided = pruned[source], divided[source]
+        source = ops.split(params, optimizers, state, divided, info.generator)
+        ops.remove(params, optimizers, state, pruned[source])
+        state.rows = {name: torch.zeros_like(rows) for name, rows in state.rows.items()}
 
     def decide(self, gaussians: Gaussians, grid: ImageGrid, state: State) -> tuple[Tensor, Tensor, Tensor]:
         """Masks, bool [N], of the Gaussians to prune, to clone and to split; raise if none would be left.

@@ -69,13 +69,9 @@ class Relocating(Configured):
     def due(self, step: int) -> bool:
         return step > 0 and at_round(step, 0, self._config.until * self._iterations, self._config.rounds)
 
-    def step_post_backward(
-        self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
-    ) -> None:
-        if self.due(step):
-            info.check()
-            idle, strong = pairs(info.cross_sections(), self._config.idle_share, info.generator)
-            ops.relocate(params, optimizers, state, idle, strong, info.generator)
+    def act(self, params: dict[str, Tensor], optimizers: Optimiser, state: State, info: Info) -> None:
+        idle, strong = pairs(info.cross_sections(), self._config.idle_share, info.generator)
+        ops.relocate(params, optimizers, state, idle, strong, info.generator)
 
 
 def pairs(

@@ -60,12 +60,9 @@ class Smoothed(Configured):
         return step > 0 and at_round(step, 0, self._iterations, self._config.rounds)
 
     @torch.no_grad()
-    def step_post_backward(
-        self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
-    ) -> None:
-        if not self.due(step) or info.model.levels.coarsest == 1:  # vehicles have no large flat surfaces
+    def act(self, params: dict[str, Tensor], optimizers: Optimiser, state: State, info: Info) -> None:
+        if info.model.levels.coarsest == 1:  # vehicles have no large flat surfaces
             return
-        info.check()
         cell_m, means = info.images.grid.cell_m, params["means"].detach()
         quaternions, scales = params["quaternions"].detach(), params["scales"].detach()
         shortest = scales.argmin(1, keepdim=True)

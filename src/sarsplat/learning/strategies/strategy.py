@@ -219,6 +219,21 @@ class Configured(Strategy):
     order: ClassVar[int]
     """Rank: strategies act in ascending order."""
 
+    def due(self, step: int) -> bool:
+        """Return True if it acts after this step."""
+        return False
+
+    def act(self, params: dict[str, Tensor], optimizers: Optimiser, state: State, info: Info) -> None:
+        """Act, as in `step_post_backward`, after a step that is `due`; errors of the device have been raised."""
+        return
+
+    def step_post_backward(
+        self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
+    ) -> None:
+        if self.due(step):
+            info.check()
+            self.act(params, optimizers, state, info)
+
     @classmethod
     def acts_before(cls) -> bool:
         """True if it acts before a step's gradients; CUDA graphs are then off."""

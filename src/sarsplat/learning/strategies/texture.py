@@ -32,12 +32,9 @@ class TextureEstimation(Configured):
         return at_round(step, first, self._iterations, self._settings.texture_rounds)
 
     @torch.no_grad()
-    def step_post_backward(
-        self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
-    ) -> None:
-        if not self.due(step) or info.images.grid != info.model.frame.grid:  # only at full resolution
+    def act(self, params: dict[str, Tensor], optimizers: Optimiser, state: State, info: Info) -> None:
+        if info.images.grid != info.model.frame.grid:  # only at full resolution
             return
-        info.check()
         images = info.images
         compared = info.compared(images.views, np.arange(len(images.views)))
         ratio = torch.cat([measured / rendered for measured, rendered in compared])

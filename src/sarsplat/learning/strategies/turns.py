@@ -67,13 +67,7 @@ class TurnRefinement(Configured):
         s = self._settings
         return s.rounds > 0 and at_round(step, s.begin * self._iterations, s.until * self._iterations, s.rounds - 1)
 
-    def step_post_backward(
-        self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
-    ) -> None:
-        if not self.due(step):
-            return
-        info.check()
-
+    def act(self, params: dict[str, Tensor], optimizers: Optimiser, state: State, info: Info) -> None:
         def differences(views: Sequence[View], numbers: Int64[np.ndarray, " n"]) -> Float64[np.ndarray, "n pixels"]:
             batches = [
                 measured.sqrt() - rendered.clamp(min=0).sqrt() for measured, rendered in info.compared(views, numbers)
