@@ -44,8 +44,7 @@ _REMEDIES = {
 
 _NUMBERS = {float: Real, int: Integral, bool: Integral}
 _SEQUENCES = (Sequence, Iterable, tuple)
-_SCALARS = (str, bytes, os.PathLike)
-"""Iterable types that are no sequences of arguments."""
+_SCALARS = (str, bytes, os.PathLike)  # iterable types that are no sequences of arguments
 
 
 @typing.overload

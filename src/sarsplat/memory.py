@@ -5,8 +5,7 @@ from pathlib import Path
 
 from sarsplat.errors import SarsplatError
 
-_STATED_GIB, _STATED_SHARE = 1.0, 0.25
-"""Minimum need that is announced, GiB and relative to the free memory."""
+_STATED_GIB, _STATED_SHARE = 1.0, 0.25  # minimum need that is announced, GiB and relative to the free memory
 
 _SYSTEM = Path("/")
 _CGROUPS = (  # version 2, and 1: prefix of its line in /proc/self/cgroup, its folder, its files

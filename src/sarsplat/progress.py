@@ -14,19 +14,15 @@ from rich.table import Column
 T = TypeVar("T")
 
 _SECONDS_BETWEEN_LINES = 4.0  # steps of a second then print within five
-
-_FIGURES = 36
-"""Width of the numbers and times of a bar with blanks, columns of the terminal."""
+_FIGURES = 36  # width of the numbers and times of a bar with blanks, columns of the terminal
 
 _TRUSTED_S, _TRUSTED_SHARE, _PATIENCE_S = 2.0, 0.1, 20.0
 """Seconds and share of the work after which the time left is estimated, and seconds after which it is in any case: the
 first steps are often quicker or, while caches warm up, far slower than the rest."""
 
-_current: "ContextVar[Reporter | None]" = ContextVar("_current", default=None)
-"""Progress on display."""
+_current: "ContextVar[Reporter | None]" = ContextVar("_current", default=None)  # progress on display
 
-_tally: "ContextVar[Tally | None]" = ContextVar("_tally", default=None)
-"""Tally of the enclosing `tally` block."""
+_tally: "ContextVar[Tally | None]" = ContextVar("_tally", default=None)  # tally of the enclosing `tally` block
 
 
 class Tally(dict[str, float]):

@@ -15,14 +15,9 @@ from sarsplat.baselines.meshes import face_normals, gathered
 from sarsplat.baselines.soft_raster import Coverage, Lattice, grouped_softmax, picked, soft_coverage
 from sarsplat.geometry import ImageGrid, View
 
-_GRAZED = 0.1
-"""Cosine of incidence from which a face counts fully in the mask."""
-
-_TAME = 0.1
-"""Projected area, in units of σ, below which a face's depth slope is damped: it is seen edge-on."""
-
-_MOST_PARTS = 4
-"""Maximum number of the planes' pixels along the side of an image pixel."""
+_GRAZED = 0.1  # cosine of incidence from which a face counts fully in the mask
+_TAME = 0.1  # projected area, in units of σ, below which a face's depth slope is damped: it is seen edge-on
+_MOST_PARTS = 4  # maximum number of the planes' pixels along the side of an image pixel
 
 
 @dataclass(frozen=True)

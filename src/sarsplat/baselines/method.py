@@ -30,8 +30,7 @@ if TYPE_CHECKING:
 
 Points = Float32[np.ndarray, "p 3"]
 
-_RAYS_PER_CELL = 4.0
-"""Rays along the side of a resolution cell."""
+_RAYS_PER_CELL = 4.0  # rays along the side of a resolution cell
 
 
 @dataclass(frozen=True)

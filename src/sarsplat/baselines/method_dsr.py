@@ -23,14 +23,9 @@ _HALF_FIELD, _DEPTH_RANGE = 1.58, 99.0
 """Units of √σ and γ, in longest sides of the target: in usual scenes of soft rasterisation, an object of side 1 is in a
 field of view of ±1.58 (±30° at distance 2.73), between depths of 1 and 100."""
 
-_DIMMEST = 1e-5
-"""Power added before roots are taken, relative to the brightest: −50 dB."""
-
-_START_GAMMA0 = 0.01
-"""Initial γ⁰ of the faces, relative to the brightest power: −20 dB."""
-
-_START_GROUND, _START_FLOOR = 1.0, 0.1
-"""Initial γ⁰ of the ground, and noise floor, relative to `Scene.unit`."""
+_DIMMEST = 1e-5  # power added before roots are taken, relative to the brightest: −50 dB
+_START_GAMMA0 = 0.01  # initial γ⁰ of the faces, relative to the brightest power: −20 dB
+_START_GROUND, _START_FLOOR = 1.0, 0.1  # initial γ⁰ of the ground, and noise floor, relative to `Scene.unit`
 Softness = Annotated[float, Meta(ge=1e-6, le=1)]
 Momentum = Annotated[float, Meta(ge=0, le=0.9999)]
 

@@ -23,26 +23,13 @@ from sarsplat.geometry import View
 from sarsplat.geometry.view import ground_radius_m
 from sarsplat.settings.kinds import Count, Positive
 
-_CLEAR = -4.0
-"""Bias of the attenuation's activation: initially e⁻⁴ per resolution cell, which is transparent."""
-
-_DIM = -2.0
-"""Bias of the scattering's activation."""
-
-_SOFTENED = 1e-3
-"""Amplitude, relative to the brightest, below which roots of powers are softened."""
-
-_FLOOR = 1e-4
-"""Power, relative to the brightest, added to images without ground in the speckle's likelihood."""
-
-_LEAST_NOISE = 1e-3
-"""Power, relative to the mean, added to images with ground in the speckle's likelihood."""
-
-_FIRST_NOISE = 0.05
-"""Initial noise floor, relative to the mean power."""
-
-_NOISE_RATE = 2e-3
-"""Maximum learning rate of the noise floor: a faster one explains the clutter before the ground does."""
+_CLEAR = -4.0  # bias of the attenuation's activation: initially e⁻⁴ per resolution cell, which is transparent
+_DIM = -2.0  # bias of the scattering's activation
+_SOFTENED = 1e-3  # amplitude, relative to the brightest, below which roots of powers are softened
+_FLOOR = 1e-4  # power, relative to the brightest, added to images without ground in the speckle's likelihood
+_LEAST_NOISE = 1e-3  # power, relative to the mean, added to images with ground in the speckle's likelihood
+_FIRST_NOISE = 0.05  # initial noise floor, relative to the mean power
+_NOISE_RATE = 2e-3  # maximum learning rate of the noise floor: a faster one explains the clutter before the ground does
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,7 @@ from sarsplat.baselines.method import BaselineMethod
 from sarsplat.baselines.method_sar_nerf import LOSS, SarNerf, SarNerfConfig
 from sarsplat.settings.kinds import Count, Degree, NotNegative, Positive
 
-_VIEWS_PER_HARMONIC = 2
-"""Minimum number of speckled training images per spherical harmonic."""
+_VIEWS_PER_HARMONIC = 2  # minimum number of speckled training images per spherical harmonic
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,7 @@ from sarsplat.learning.training_images import ViewQueue
 from sarsplat.radiometry import from_db, usual_peak
 from sarsplat.regions.target_region import target_region
 
-_ABOVE_GROUND_DB = 10.0
-"""Level above the ground's median that speckle hardly reaches: 0.1 % of single-look pixels do."""
+_ABOVE_GROUND_DB = 10.0  # level above the ground's median that speckle hardly reaches: 0.1 % of single-look pixels do
 
 
 class BaselineTrainer(Trainable):

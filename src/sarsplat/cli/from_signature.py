@@ -104,8 +104,7 @@ _SHARED = {
 }
 """Options that several importers have."""
 _METAVARS = {"Path": "FILE", "str": "NAME", "int": "N", "float": "NUMBER"}
-_UNITS = {"_m": "METRES", "_deg": "DEGREES"}
-"""Metavars by suffixes of parameters."""
+_UNITS = {"_m": "METRES", "_deg": "DEGREES"}  # metavars by suffixes of parameters
 
 
 def command_of(module: str, function: str, *, reading: str = "", **options: Option) -> Callable[..., int]:

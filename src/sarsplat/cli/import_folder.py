@@ -9,8 +9,7 @@ from sarsplat.cli.from_signature import Option, command_of
 from sarsplat.cli.importers import Contents, Recognised
 from sarsplat.errors import SarsplatError
 
-_CERTAINTY = 0.1
-"""Certainty that pictures with a table are radar images."""
+_CERTAINTY = 0.1  # certainty that pictures with a table are radar images
 
 
 def _named(words: tuple[str, ...], name: str) -> dict[str, str]:

@@ -22,8 +22,7 @@ PLAN = "sweep.toml"
 """File name of the plan of a sweep beside the datasets of a split."""
 
 _USUAL_DEPRESSIONS = ("17",)
-_REFUSED = 2
-"""Exit code if a class could not be imported."""
+_REFUSED = 2  # exit code if a class could not be imported
 
 _PLAN_TEXT = """# a reconstruction of each class; `sarsplat sweep sweep.toml --out RUNS` makes them
 datasets = ["*"]
@@ -32,8 +31,7 @@ seeds = [0]
 """
 
 
-_MOST_READ = 500
-"""Number of Phoenix files whose headers are read; the others are assumed to be of the same classes."""
+_MOST_READ = 500  # number of Phoenix files whose headers are read; the others are assumed to be of the same classes
 
 
 def _whole(words: tuple[str, ...], name: str) -> list[int]:

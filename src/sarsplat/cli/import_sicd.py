@@ -6,8 +6,7 @@ from sarsplat.cli.from_signature import comma_separated, command_of
 from sarsplat.cli.importers import Contents, Recognised, first_described
 
 _ENDINGS = (".nitf", ".ntf", ".sicd")
-_NAMES = {"start": "date", "polarization": "polarisation"}
-"""Names of facts for users."""
+_NAMES = {"start": "date", "polarization": "polarisation"}  # names of facts for users
 
 command = command_of(
     __name__,

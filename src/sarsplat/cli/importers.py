@@ -15,8 +15,7 @@ from sarsplat.plugins import discover
 IMPORTERS = discover("sarsplat.cli", "import_", "command", "sarsplat.importers")
 """`import NAME` by name: `command` in the file `import_NAME.py` of this folder, or an entry point."""
 
-_MOST_TRIED = 8
-"""Maximum number of files of a folder that are opened to find one that can be read."""
+_MOST_TRIED = 8  # maximum number of files of a folder that are opened to find one that can be read
 
 
 @dataclass(frozen=True)

@@ -27,11 +27,8 @@ if TYPE_CHECKING:
 
 _CALIBRATIONS = {"absolute": "absolute", "relative": "relative: β⁰ up to one common factor"}
 
-_LISTED = 8
-"""Maximum number of azimuths of a set at one grazing angle that are listed; more are described."""
-
-_ARC = 2.5
-"""Maximum gap of views that go all around, in steps."""
+_LISTED = 8  # maximum number of azimuths of a set at one grazing angle that are listed; more are described
+_ARC = 2.5  # maximum gap of views that go all around, in steps
 
 _QUANTITIES = {False: "β⁰, linear power, float32", True: "complex amplitude, whose squared magnitude is β⁰, complex64"}
 """Quantity of pixels, by whether their phase is known."""

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from sarsplat.geometry import ImageGrid, Stack, Terrain, View
     from sarsplat.scenes import ScatteringLaw
 
-_TOLERABLE_DB = 0.1
-"""Maximum error of an image due to the ray spacing without advice, dB."""
+_TOLERABLE_DB = 0.1  # maximum error of an image due to the ray spacing without advice, dB
 
 
 @dataclass(frozen=True)

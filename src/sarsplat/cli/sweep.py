@@ -16,8 +16,7 @@ from sarsplat.cli.signals import keeping
 from sarsplat.errors import counted
 from sarsplat.executors import EXECUTORS, Means
 
-_FAILED = 1
-"""Exit code if a run has failed."""
+_FAILED = 1  # exit code if a run has failed
 
 Device = Literal["cpu", "cuda"]
 

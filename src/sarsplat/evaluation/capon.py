@@ -9,20 +9,14 @@ from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, Stack, View
 
-_WINDOW = 3
-"""Pixels along each side over which covariances are averaged, as reconstructions do."""
-
-_LOADING = 0.05
-"""Diagonal loading relative to the mean power; covariances of few looks have no inverse."""
-
-_STEPS = 40
-"""Steps of elevation per resolution."""
+_WINDOW = 3  # pixels along each side over which covariances are averaged, as reconstructions do
+_LOADING = 0.05  # diagonal loading relative to the mean power; covariances of few looks have no inverse
+_STEPS = 40  # steps of elevation per resolution
 
 _MIN_PEAK, _MIN_SNR = 0.3, 2.0
 """Minimum height of a peak, relative to the pixel's highest one and to the noise in the spectrum."""
 
-_DARK = 1e-6
-"""Power relative to the brightest pixel below which peaks are rounding errors."""
+_DARK = 1e-6  # power relative to the brightest pixel below which peaks are rounding errors
 
 
 @checks_arguments

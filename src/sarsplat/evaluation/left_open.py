@@ -29,40 +29,20 @@ from sarsplat.regions.image_levels import seen_by_all, smoothed, typical, values
 from sarsplat.renderer import channel_of
 from sarsplat.runs import Run
 
-_RADIUS = 4.0
-"""Radius of a place's surroundings, resolution cells."""
-
-_SURE = 1.0
-"""Standard errors subtracted from the information, for changes that cancel only on average."""
-
-_MOVED = 0.1
-"""Movement of the surface in either direction, resolution cells."""
-
-_PLACES = 4000
-"""Maximum number of random points tested; the share is then accurate to 0.01."""
-
-_FAINT = 1e-3
-"""Minimum power of the pixels that measure the residual, relative to the image's brightest."""
+_RADIUS = 4.0  # radius of a place's surroundings, resolution cells
+_SURE = 1.0  # standard errors subtracted from the information, for changes that cancel only on average
+_MOVED = 0.1  # movement of the surface in either direction, resolution cells
+_PLACES = 4000  # maximum number of random points tested; the share is then accurate to 0.01
+_FAINT = 1e-3  # minimum power of the pixels that measure the residual, relative to the image's brightest
 
 _RAYS_PER_PIXEL, _MAX_BATCH = 2.0, 4
 
-_REACH = 1.5
-"""Maximum distance of a Gaussian from the nearest point that represents it, resolution cells."""
-
-_EXCESS_DB = 3.0
-"""Minimum mean excess of the images, dB."""
-
-_SURE_EXCESS = 6.0
-"""Minimum mean excess of the images, standard deviations of its noise over all places."""
-
-_FAINT_ADDED = 1e-3
-"""Minimum power added to both images before their ratio, relative to the usual peak."""
-
-_SIDE = 128
-"""Maximum number of places along a side of the scene."""
-
-_VIEWS = 24
-"""Maximum number of views compared."""
+_REACH = 1.5  # maximum distance of a Gaussian from the nearest point that represents it, resolution cells
+_EXCESS_DB = 3.0  # minimum mean excess of the images, dB
+_SURE_EXCESS = 6.0  # minimum mean excess of the images, standard deviations of its noise over all places
+_FAINT_ADDED = 1e-3  # minimum power added to both images before their ratio, relative to the usual peak
+_SIDE = 128  # maximum number of places along a side of the scene
+_VIEWS = 24  # maximum number of views compared
 
 
 def undetermined(run: Run) -> float:

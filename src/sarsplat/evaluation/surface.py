@@ -29,15 +29,9 @@ if TYPE_CHECKING:
     from sarsplat.data import Dataset
 
 _BATCH = 1_000_000  # rays traced at once
-_MAX_RAYS = 10_000_000
-"""Maximum number of rays of a view; in large scenes they are farther apart."""
-
-_LIFT = 1e-5
-"""Distance from the surface at which shadow rays start, relative to the mesh: 100 times float32's rounding."""
-
-_THICKNESS_M = 1e-3
-"""Thickness of the ground, m."""
-
+_MAX_RAYS = 10_000_000  # maximum number of rays of a view; in large scenes they are farther apart
+_LIFT = 1e-5  # distance from the surface at which shadow rays start, relative to the mesh: 100 times float32's rounding
+_THICKNESS_M = 1e-3  # thickness of the ground, m
 _MAX_SAMPLES = 4_000_000  # drawn at once, when most of them are hidden
 _THREADS = min(8, os.cpu_count() or 1)  # each holds a batch of rays, so more would take gigabytes
 _POINTS = 50_000  # tested at once in a thread

@@ -29,8 +29,7 @@ _VISIBLE = "CUDA_VISIBLE_DEVICES"
 
 _SIGNALS = {one.value: one.name for one in signal.Signals}
 
-_BROKEN_GPU = 75
-"""Exit code of a worker whose GPU has failed."""
+_BROKEN_GPU = 75  # exit code of a worker whose GPU has failed
 
 Answer = tuple[str, Any]
 """Address of a job and its result, or None if another process is doing the job."""

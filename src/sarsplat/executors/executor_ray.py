@@ -12,8 +12,7 @@ from sarsplat.errors import SarsplatError, shown
 from sarsplat.executors.executor import J, Job, Means, work_named
 from sarsplat.threads import convert
 
-_SUBMITTED_PER_CPU = 4
-"""Submitted jobs per processor of the cluster: `ray.wait` is slow with many."""
+_SUBMITTED_PER_CPU = 4  # submitted jobs per processor of the cluster: `ray.wait` is slow with many
 
 
 def run(jobs: Sequence[J], out: Path, means: Means) -> Iterator[tuple[J, Any]]:

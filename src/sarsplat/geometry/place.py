@@ -22,8 +22,7 @@ HeightAbove = Literal["ellipsoid", "sea level", "unknown"]
 _EQUATOR_M = 6378137.0
 _FLATTENING = 1 / 298.257223563
 _ECCENTRICITY_2 = 2 * _FLATTENING - _FLATTENING**2
-_ROUNDS = 3
-"""Iterations of Bowring's formula: latitudes to 10⁻¹⁵ rad up to 10,000 km above ground."""
+_ROUNDS = 3  # iterations of Bowring's formula: latitudes to 10⁻¹⁵ rad up to 10,000 km above ground
 _LIMITS = {"latitude_deg": 90.0, "longitude_deg": 360.0, "height_m": 1e5, "x_towards_deg": sys.float_info.max}
 
 

@@ -12,14 +12,12 @@ from sarsplat.geometry.grids import ImageGrid
 from sarsplat.geometry.view import View
 
 _LEAST_WAVELENGTH, _LARGEST_WAVELENGTH = 1e-4, 100.0
-_MAX_OFFSET = 0.2
-"""Maximum offset of a pass, rad: beyond it, the passes' images differ."""
+_MAX_OFFSET = 0.2  # maximum offset of a pass, rad: beyond it, the passes' images differ
 
 LOUDEST = 1e18
 """Maximum power of noise, β⁰: squares of larger ones overflow float32."""
 
-_SEARCHED, _STEPS = 1000.0, 32
-"""Searched elevations for ambiguities, in resolutions, and samples per resolution."""
+_SEARCHED, _STEPS = 1000.0, 32  # searched elevations for ambiguities, in resolutions, and samples per resolution
 
 _MAIN_LOBE, _AMBIGUOUS = 0.7, 0.95
 """Coherences of the passes at which the main lobe ends, and from which an elevation is ambiguous."""

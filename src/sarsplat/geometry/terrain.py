@@ -11,8 +11,7 @@ from sarsplat.arguments import expect, is_number
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry.place import Place
 
-_EDGE_TOLERANCE = 0.01
-"""Distance beyond an edge that still counts as on it, relative to the pitch."""
+_EDGE_TOLERANCE = 0.01  # distance beyond an edge that still counts as on it, relative to the pitch
 
 
 @dataclass(frozen=True, eq=False)

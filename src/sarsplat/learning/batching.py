@@ -13,8 +13,7 @@ from sarsplat.renderer import Rendering
 from sarsplat.renderer.engines.operation import differentiable_once
 from sarsplat.tiles.plan import memory_bytes
 
-_STEP_GIB = 2.0
-"""Maximum memory of a batch of more than one view, GiB."""
+_STEP_GIB = 2.0  # maximum memory of a batch of more than one view, GiB
 
 Compared = Callable[[slice], tuple[Tensor, Rendering]]
 """Function that renders a slice of a step's views and returns their mean loss and the rendering."""

@@ -14,14 +14,9 @@ from sarsplat.renderer.engines import cpu
 from sarsplat.renderer.engines.cuda_device import require_cuda
 from sarsplat.renderer.engines.trial import objection
 
-_UNTIMED = 3
-"""Untimed first steps on a GPU, which compile, copy and record a CUDA graph."""
-
-_TIMED = 10
-"""Timed steps on each device."""
-
-_MIN_ITERATIONS = 10 * (_UNTIMED + _TIMED)
-"""Minimum length of a training for which timing pays."""
+_UNTIMED = 3  # untimed first steps on a GPU, which compile, copy and record a CUDA graph
+_TIMED = 10  # timed steps on each device
+_MIN_ITERATIONS = 10 * (_UNTIMED + _TIMED)  # minimum length of a training for which timing pays
 
 _CPU = torch.device("cpu")
 

@@ -22,26 +22,16 @@ from sarsplat.radiometry import to_db
 from sarsplat.settings import PRESETS, Config
 from sarsplat.settings.sections import Surroundings
 
-_SHARE = 0.1
-"""Length of the trial, relative to the training."""
-
-_PIXELS = 256
-"""Side of the images of the trial at most: larger ones are multilooked."""
-
-_SMOOTHED_DROPOUT = 0.4
-"""Dropout where there are coarser levels, at which smoothed surfaces average speckle already."""
-
-_FEWEST = 4
-"""Minimum number of images, and of gains: fewer do not separate gains from the ground's power law in sin θ."""
-
-_GROUND_DB = 1.5
-"""Maximum distance of ground pixels from the rendering's median, dB."""
+_SHARE = 0.1  # length of the trial, relative to the training
+_PIXELS = 256  # side of the images of the trial at most: larger ones are multilooked
+_SMOOTHED_DROPOUT = 0.4  # dropout where there are coarser levels, at which smoothed surfaces average speckle already
+_FEWEST = 4  # minimum number of images, and of gains: fewer do not separate gains from the ground's power law in sin θ
+_GROUND_DB = 1.5  # maximum distance of ground pixels from the rendering's median, dB
 
 _GAIN_DB = 0.25
 """Minimum standard deviation of gains that are learned, dB: roads and dense scenes leave up to 0.2 dB in a trial."""
 
-_TARGET_DB = 6.0
-"""Minimum level of target pixels above that median, dB."""
+_TARGET_DB = 6.0  # minimum level of target pixels above that median, dB
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,7 @@ from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH
 _ON_RAYS = math.sqrt(2 * math.log(MAX_OPTICAL_DEPTH / MIN_RAY_DEPTH))
 """Largest distance from a Gaussian at which it attenuates rays, standard deviations."""
 
-_IN_IMAGE = math.sqrt(IMAGE_CUT)
-"""Largest distance from a Gaussian at which it changes pixels, standard deviations."""
+_IN_IMAGE = math.sqrt(IMAGE_CUT)  # largest distance from a Gaussian at which it changes pixels, standard deviations
 
 
 @dataclass(frozen=True)

@@ -19,23 +19,12 @@ from sarsplat.names import Speckle
 from sarsplat.renderer import render
 from sarsplat.scenes.scattering import ResponseSpeckle, white_speckle
 
-_PIXEL_STD = 1.5
-"""Maximum size of the pixels on which scatterers are drawn, standard deviations of a small Gaussian."""
-
-_SMALL_QUANTILE = 0.05
-"""Quantile of the Gaussians' widths that counts as small."""
-
-_MAX_PARTS = 5
-"""Maximum oversampling factor along each side; odd."""
-
-_SHARP = 0.05
-"""Width of a negligible response, pixels."""
-
-_INVISIBLE = 255.0**-2
-"""Negligible power of a response relative to its peak: 8 bits do not show it."""
-
-_MIN_TARGET_SHARE = 1e-3
-"""Minimum share of the target in a pixel's power at which the pixel counts as target."""
+_PIXEL_STD = 1.5  # maximum size of the pixels on which scatterers are drawn, standard deviations of a small Gaussian
+_SMALL_QUANTILE = 0.05  # quantile of the Gaussians' widths that counts as small
+_MAX_PARTS = 5  # maximum oversampling factor along each side; odd
+_SHARP = 0.05  # width of a negligible response, pixels
+_INVISIBLE = 255.0**-2  # negligible power of a response relative to its peak: 8 bits do not show it
+_MIN_TARGET_SHARE = 1e-3  # minimum share of the target in a pixel's power at which the pixel counts as target
 
 LEARNED, UNIFORM = "learned", "uniform"
 """Grounds without a file: as learned, or with the mean γ⁰ everywhere."""

@@ -14,14 +14,9 @@ from sarsplat.regions.stack_region import stack_region
 from sarsplat.regions.target_region import levelled, target_region
 from sarsplat.settings.config import Config
 
-_USUAL_GAMMA0 = 0.5
-"""Median γ⁰ of the pixels that stand out from the ground, in the unit "target"."""
-
-_MIN_ACROSS = 20
-"""Minimum number of resolution cells across the target in multilooked images."""
-
-_COARSE_SHARE = 0.75
-"""Share of the iterations that the coarser levels take together; the rest is at full resolution."""
+_USUAL_GAMMA0 = 0.5  # median γ⁰ of the pixels that stand out from the ground, in the unit "target"
+_MIN_ACROSS = 20  # minimum number of resolution cells across the target in multilooked images
+_COARSE_SHARE = 0.75  # share of the iterations that the coarser levels take together; the rest is at full resolution
 
 
 @dataclass(frozen=True)

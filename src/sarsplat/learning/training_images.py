@@ -15,8 +15,7 @@ from sarsplat.learning.image_windows import Windows
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.renderer.engines.on_device import ChosenViews
 
-_FAINTEST = 1e-30
-"""Largest β⁰ of images that count as black: squares and reciprocals would leave float32."""
+_FAINTEST = 1e-30  # largest β⁰ of images that count as black: squares and reciprocals would leave float32
 
 
 class TrainingImages:

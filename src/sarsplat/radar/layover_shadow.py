@@ -23,15 +23,10 @@ LEGEND = {
     UNKNOWN: "height unknown",
 }
 
-_STEP = 0.5
-"""Spacing of sampled places, pixels of the map."""
-
-_AT_A_TIME = 1 << 22
-"""Places in a batch."""
-_MOST_PLACES, _MOST_LINES = 1 << 33, 1 << 24
-"""Maximum number of places (a byte each), and of lines across the map."""
-_PIXEL, _PLACE = 40, 130
-"""Memory per pixel of the map, and per place in a batch, bytes."""
+_STEP = 0.5  # spacing of sampled places, pixels of the map
+_AT_A_TIME = 1 << 22  # places in a batch
+_MOST_PLACES, _MOST_LINES = 1 << 33, 1 << 24  # maximum number of places (a byte each), and of lines across the map
+_PIXEL, _PLACE = 40, 130  # memory per pixel of the map, and per place in a batch, bytes
 _SMALLER = "cut it in parts, or make its pixels larger"
 _ALONG_AN_EDGE = 1e-9
 """Step of a line towards an edge, relative to half the map's side, below which the line is parallel to the edge."""

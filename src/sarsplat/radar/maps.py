@@ -13,20 +13,11 @@ from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.radar.surface import Surface, above_ground
 from sarsplat.renderer import RayMap, attenuate, project, splat
 
-_SHARE = 0.5
-"""Minimum share of a target's pixel that it covers, or of the area that flat ground would have in it."""
-
-_HIDDEN = 0.5
-"""Two-way loss above which ground is in shadow."""
-
-_SAMPLES = 3
-"""Sampled places of a pixel's ground, per axis."""
-
-_GRAZED = 0.02
-"""Cosine below which a surface counts as parallel to a direction."""
-
-_SAME_PLACE = 0.05
-"""Minimum distance of scatterers that determine a slope, pixel spacings."""
+_SHARE = 0.5  # minimum share of a target's pixel that it covers, or of the area that flat ground would have in it
+_HIDDEN = 0.5  # two-way loss above which ground is in shadow
+_SAMPLES = 3  # sampled places of a pixel's ground, per axis
+_GRAZED = 0.02  # cosine below which a surface counts as parallel to a direction
+_SAME_PLACE = 0.05  # minimum distance of scatterers that determine a slope, pixel spacings
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,8 @@ from sarsplat.data import Dataset
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.radiometry import to_db
 
-_QUARTER = 0.6373
-"""Width of the narrowest interval that holds a quarter of normal noise, in standard deviations."""
-
-_SURE_DB = 3.0
-"""Minimum level of bright ground, dB above the usual ground; less is speckle."""
+_QUARTER = 0.6373  # width of the narrowest interval that holds a quarter of normal noise, in standard deviations
+_SURE_DB = 3.0  # minimum level of bright ground, dB above the usual ground; less is speckle
 
 
 def seen_by_all(views: Sequence[View], grid: ImageGrid) -> float:

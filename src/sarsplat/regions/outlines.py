@@ -11,17 +11,10 @@ from sarsplat.geometry import ImageGrid
 from sarsplat.radiometry import to_db
 from sarsplat.regions.image_levels import above_ground_db, smoothed
 
-_BRIGHT_DB, _DARK_DB = 3.0, -4.5
-"""Limits of speckle above and below the ground, smoothed over a resolution cell, dB."""
-
-_LARGE_PART = 0.2
-"""Minimum weight of a connected part, relative to the largest."""
-
-_RANGE_DB = 30.0
-"""Dynamic range of images without ground, below the brightest pixel of a median image."""
-
-_REACH = 1.0
-"""Maximum distance of shadow from the target, in the target's extent along range."""
+_BRIGHT_DB, _DARK_DB = 3.0, -4.5  # limits of speckle above and below the ground, smoothed over a resolution cell, dB
+_LARGE_PART = 0.2  # minimum weight of a connected part, relative to the largest
+_RANGE_DB = 30.0  # dynamic range of images without ground, below the brightest pixel of a median image
+_REACH = 1.0  # maximum distance of shadow from the target, in the target's extent along range
 
 
 @dataclass(frozen=True)

@@ -15,19 +15,11 @@ from sarsplat.geometry import ImageGrid, Stack, View
 from sarsplat.regions.target_region import target_region
 from sarsplat.surface.points import imaged, spread
 
-_BELOW = 0.1
-"""Share of the region's height below z = 0."""
-
-_PER_CELL = 3.0
-"""Gaussians per cell of azimuth, range and elevation."""
-
-_FEWEST_CELLS = 4
-"""Minimum number of cells along elevation, which a single pair of passes does not resolve."""
-
+_BELOW = 0.1  # share of the region's height below z = 0
+_PER_CELL = 3.0  # Gaussians per cell of azimuth, range and elevation
+_FEWEST_CELLS = 4  # minimum number of cells along elevation, which a single pair of passes does not resolve
 _TRIED, _VIEWS = 1 << 16, 96  # random places, and views that are tested
-
-_SAME = 1.0 - 1e-4
-"""Minimum cosine between equal directions: 0.8°."""
+_SAME = 1.0 - 1e-4  # minimum cosine between equal directions: 0.8°
 
 
 def stack_region(train: Dataset, box: Box | None = None) -> Region:

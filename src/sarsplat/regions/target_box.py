@@ -13,26 +13,13 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.regions.image_levels import above_ground_db, seen_by_all, typical
 
-_SURE_DB = 3.0
-"""Level above the ground that speckle does not reach, dB."""
-
-_PROBABLE = 2.0
-"""Standard deviations above the ground of places that belong to a target if connected to a sure one."""
-
-_FAINTEST_DB = 1.0
-"""Minimum level of such places above the ground, dB: without noise, responses reach far."""
-
-_GLINT_DB = 12.0
-"""Level below the target's bright part that the response of glints may have, dB."""
-
-_BRIGHT_PART = 0.9
-"""Quantile of the target's levels at which its bright part begins."""
-
-_LARGE_PART = 0.2
-"""Minimum weight of a connected part, relative to the largest: few views show a target in pieces."""
-
-_DARKEST_DB = -3.0
-"""Level below the ground at which shadow is clipped in the search for the target, dB."""
+_SURE_DB = 3.0  # level above the ground that speckle does not reach, dB
+_PROBABLE = 2.0  # standard deviations above the ground of places that belong to a target if connected to a sure one
+_FAINTEST_DB = 1.0  # minimum level of such places above the ground, dB: without noise, responses reach far
+_GLINT_DB = 12.0  # level below the target's bright part that the response of glints may have, dB
+_BRIGHT_PART = 0.9  # quantile of the target's levels at which its bright part begins
+_LARGE_PART = 0.2  # minimum weight of a connected part, relative to the largest: few views show a target in pieces
+_DARKEST_DB = -3.0  # level below the ground at which shadow is clipped in the search for the target, dB
 
 _SHADOW_DB = (-6.0, 3.0)
 """Limits of levels in the search for shadow, dB: darker pixels are clipped, brighter ones are left out."""
@@ -40,29 +27,17 @@ _SHADOW_DB = (-6.0, 3.0)
 _DARK_DB = (-4.5, -2.5)
 """Mean level of the middle of a shadow, dB: below the first it is certain, above the second there is no shadow."""
 
-_SURELY = 6.0
-"""Standard deviations of the ground for a detection in between: it is the extreme of many places."""
-
-_KNOWN = 0.6
-"""Minimum share of the images that show a place's possible shadow."""
+_SURELY = 6.0  # standard deviations of the ground for a detection in between: it is the extreme of many places
+_KNOWN = 0.6  # minimum share of the images that show a place's possible shadow
 
 _UPRIGHT = 4.0
 """Inverse of the displacement along an axis, per metre of height, at which a view counts half for that axis."""
 
-_TIP = 1.1
-"""Height of the box, relative to the highest visible shadow: a narrow top throws none."""
-
-_HEIGHT = 0.65
-"""Height of the box without shadow, relative to its narrower side."""
-
-_SIDE = 256
-"""Maximum number of places along a side of the scene; more pixels than that are averaged."""
-
-_PLACES = 128
-"""Number of places along a side of the box, and of heights up to its width, in the search for shadow."""
-
-_VIEWS = 48
-"""Maximum number of images in the search for shadow, evenly chosen."""
+_TIP = 1.1  # height of the box, relative to the highest visible shadow: a narrow top throws none
+_HEIGHT = 0.65  # height of the box without shadow, relative to its narrower side
+_SIDE = 256  # maximum number of places along a side of the scene; more pixels than that are averaged
+_PLACES = 128  # number of places along a side of the box, and of heights up to its width, in the search for shadow
+_VIEWS = 48  # maximum number of images in the search for shadow, evenly chosen
 
 
 def target_box(

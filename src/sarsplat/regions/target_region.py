@@ -21,14 +21,9 @@ from sarsplat.renderer.echoes.lit_terrain import lit_terrain
 from sarsplat.renderer.engines.choice import passes_for
 from sarsplat.scenes.meshes import read_mesh
 
-_MUCH = 0.2
-"""Maximum share of the brightness (dB) above the ground outside of the box, for side lobes and chance."""
-
-_DIMMEST = 0.1
-"""Power of terrain, relative to flat ground, below which pixels are replaced by median ground."""
-
-_NAMED = 3
-"""Maximum number of objects outside of the box that a warning locates."""
+_MUCH = 0.2  # maximum share of the brightness (dB) above the ground outside of the box, for side lobes and chance
+_DIMMEST = 0.1  # power of terrain, relative to flat ground, below which pixels are replaced by median ground
+_NAMED = 3  # maximum number of objects outside of the box that a warning locates
 
 
 def target_region(dataset: Dataset, *, ground: bool, box: Box | None = None) -> Region:

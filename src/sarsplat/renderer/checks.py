@@ -42,8 +42,7 @@ ALLOWED = {
 }
 """Requirements on each tensor, for messages."""
 
-_MAX_PIXELS = 32_767
-"""Maximum side of an image on the CPU engine; up to 4,096 was measured."""
+_MAX_PIXELS = 32_767  # maximum side of an image on the CPU engine; up to 4,096 was measured
 
 
 def check_shapes(

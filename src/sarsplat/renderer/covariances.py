@@ -29,8 +29,7 @@ from sarsplat.renderer.steps import attenuate, project, splat, splat_parts
 _PAIR_TOLERANCE = 1e-5
 """Maximum difference, relative to the largest phase per elevation, between pairs of passes that share an image."""
 
-_ANY = View(0.0, 45.0)
-"""View for phases in the radar frame, which are equal in all views."""
+_ANY = View(0.0, 45.0)  # view for phases in the radar frame, which are equal in all views
 
 
 @checks_arguments

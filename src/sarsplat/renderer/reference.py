@@ -30,11 +30,8 @@ from sarsplat.renderer.rendering import (
     footprints_of,
 )
 
-_UNCUT_RADIUS = 9.0
-"""Extent of the lattice without cuts, standard deviations: e⁻⁴⁰ is below float64's resolution."""
-
-_MAX_PAIRS = 1 << 26
-"""Maximum pairs of Gaussians and rays in one view; in float64 about 5 GB and 10 s."""
+_UNCUT_RADIUS = 9.0  # extent of the lattice without cuts, standard deviations: e⁻⁴⁰ is below float64's resolution
+_MAX_PAIRS = 1 << 26  # maximum pairs of Gaussians and rays in one view; in float64 about 5 GB and 10 s
 
 
 def render_reference(

@@ -25,12 +25,8 @@ if TYPE_CHECKING:
 _WIDTH, _FOOT, _TITLE = 2.4, 1.3, 0.3  # inches
 _LINE, _TABLE_WIDTH = 0.17, 7.4  # of the table, inches
 _MOST_COLUMNS = 4
-_PLACES = (0.02, 0.32, 0.46, 0.57, 0.67, 0.82)
-"""Left ends of the table's columns, relative to the sheet's width."""
-
-_NOSE = 0.36
-"""Length of the nose's arrow, relative to the shorter side of an image."""
-
+_PLACES = (0.02, 0.32, 0.46, 0.57, 0.67, 0.82)  # left ends of the table's columns, relative to the sheet's width
+_NOSE = 0.36  # length of the nose's arrow, relative to the shorter side of an image
 _OF_THE_BRIGHTEST = "power, dB of the brightest 0.1 %"  # see `bright_level`
 _LEGEND = (
     "Near range (row 0) is on top: the radar looks down along its arrow. Orange: detected target.{shadow}\n"

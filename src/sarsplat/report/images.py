@@ -20,9 +20,7 @@ Image = Real[np.ndarray, "rows columns"]
 Images = Real[np.ndarray, "v rows columns"]
 
 _MARGIN = 5  # pixels around the target
-
-_LARGEST_DB, _LARGEST_SIGMA = 6.0, 4.0
-"""Ends of the colour scale; larger differences are clipped."""
+_LARGEST_DB, _LARGEST_SIGMA = 6.0, 4.0  # ends of the colour scale; larger differences are clipped
 
 _LEAST_WINDOW = 3
 _DARKEST_DB = -60.0  # floor of rendered power below the peak: σ is never 0

@@ -19,15 +19,13 @@ from sarsplat.runs import Run
 
 _LARGEST = 256
 _TURNS = ((0.0, "−π"), (0.25, "−π/2"), (0.5, "0"), (0.75, "π/2"), (1.0, "π"))
-_INLIERS = 0.01, 0.99
-"""Quantiles of the points' heights beyond which points are outliers."""
+_INLIERS = 0.01, 0.99  # quantiles of the points' heights beyond which points are outliers
 
 PAULI = frozenset(("HH", "VV"))
 """Polarisations that a Pauli picture needs."""
 
 _SHOWN = 3  # training images in the Pauli figure
-_BRIGHT = 0.99
-"""Quantile of the measured powers at full brightness."""
+_BRIGHT = 0.99  # quantile of the measured powers at full brightness
 
 
 @dataclass(frozen=True)

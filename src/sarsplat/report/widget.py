@@ -24,9 +24,7 @@ from sarsplat.report.images import Difference, Part, address, fitted, indexed, p
 from sarsplat.report.views import evenly
 from sarsplat.runs import Run
 
-_BYTES = 900_000
-"""Budget of the PNG of rendered images, and of the PNGs of true images and errors together."""
-
+_BYTES = 900_000  # budget of the PNG of rendered images, and of the PNGs of true images and errors together
 _LARGEST = 128  # pixels along a side
 _MOST_RENDERED = 8_000_000  # cost (pixels + Gaussians) of all images on the raster
 _BATCH_COST, _BATCH_IMAGES = 1_000_000, 8  # rendered at once, which bounds memory

@@ -22,17 +22,13 @@ from sarsplat.renderer import channel_of
 from sarsplat.settings.config import OWN_LOOP, Config
 from sarsplat.tiles import at_once
 
-_DEGREES = (3, 2, 1, 0)
-"""Degrees of harmonics, largest first."""
+_DEGREES = (3, 2, 1, 0)  # degrees of harmonics, largest first
 
 _PIXELS = 128
 _MAX_SPACING_M = 1e6
-_FILLED_SHARE = 0.7
-"""Extent of the visible Gaussians relative to the width of an image."""
-
+_FILLED_SHARE = 0.7  # extent of the visible Gaussians relative to the width of an image
 _CELL_SIGMAS = 2.0  # resolution cell in standard deviations of a Gaussian, as after our own trainings
-_FAINT = 0.05
-"""Optical depth below which a Gaussian is ignored in the choice of a grid."""
+_FAINT = 0.05  # optical depth below which a Gaussian is ignored in the choice of a grid
 
 _AROUND = tuple(View(azimuth, grazing) for grazing in (15.0, 45.0, 75.0) for azimuth in range(0, 360, 45))
 

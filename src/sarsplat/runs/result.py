@@ -26,8 +26,7 @@ from sarsplat.settings.config import OWN_LOOP, SCATTERERS
 if TYPE_CHECKING:
     import trimesh
 
-_NORMAL = ("nx", "ny", "nz")
-"""Columns of normals in `points.ply`."""
+_NORMAL = ("nx", "ny", "nz")  # columns of normals in `points.ply`
 
 
 class _Copied(cached_property[np.ndarray]):

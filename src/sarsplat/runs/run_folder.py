@@ -44,8 +44,7 @@ ABOUT = "about.json"
 MESH = "mesh.ply"
 """Surface of methods that learn a mesh."""
 
-_MAX_NAMED_PLACES = 3
-"""Maximum number of missing objects whose places are named."""
+_MAX_NAMED_PLACES = 3  # maximum number of missing objects whose places are named
 
 _RESULTS = ("gaussians.ply", MESH, ABOUT, POINTS)
 

@@ -23,8 +23,7 @@ from sarsplat.runs.training_loop import Step
 if TYPE_CHECKING:
     from torch.utils.tensorboard import SummaryWriter
 
-_GROWTH = math.sqrt(2)
-"""Images are rendered at the iterations 1, 2, 3, 4, 6, 8, 11, 16 …"""
+_GROWTH = math.sqrt(2)  # images are rendered at the iterations 1, 2, 3, 4, 6, 8, 11, 16 …
 
 
 class TensorBoard:

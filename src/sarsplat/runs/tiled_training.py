@@ -33,11 +33,8 @@ from sarsplat.runs.run import Run
 from sarsplat.runs.run_folder import HEADER, LogLine, RunFolder
 from sarsplat.runs.training_loop import Step, Training
 
-_FOLDER = "tiles"
-"""Folder of the tiles' runs inside a run, until all are finished."""
-
-_EVERY_S = 2.0
-"""Interval between readings of other processes' progress, s."""
+_FOLDER = "tiles"  # folder of the tiles' runs inside a run, until all are finished
+_EVERY_S = 2.0  # interval between readings of other processes' progress, s
 
 
 class TileJob(msgspec.Struct, frozen=True):

@@ -21,20 +21,11 @@ from sarsplat.runs.run import Run
 from sarsplat.runs.run_folder import ABOUT, HEADER, InMemory, LogLine, RunFolder, log_text, require_replaceable
 from sarsplat.settings.config import AnyConfig, refuse_other_settings
 
-_LOG_LINES = 200
-"""Approximate number of lines of `metrics.jsonl`."""
-
-_UPDATE_S = 5.0
-"""Maximum interval between progress updates, unless a step takes longer."""
-
-_TRIAL_EVERY = 100
-"""Steps between trials of thread counts: the load of the machine and the size of images change."""
-
-_TRIAL_STEPS = 2
-"""Steps of a trial with each number of threads; the quickest counts."""
-
-_MAX_SLOWDOWN = 1.5
-"""Time of a step relative to the quickest above which more threads are not tried."""
+_LOG_LINES = 200  # approximate number of lines of `metrics.jsonl`
+_UPDATE_S = 5.0  # maximum interval between progress updates, unless a step takes longer
+_TRIAL_EVERY = 100  # steps between trials of thread counts: the load of the machine and the size of images change
+_TRIAL_STEPS = 2  # steps of a trial with each number of threads; the quickest counts
+_MAX_SLOWDOWN = 1.5  # time of a step relative to the quickest above which more threads are not tried
 
 M = TypeVar("M")
 T = TypeVar("T", bound=Trainable)

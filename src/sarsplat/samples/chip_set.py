@@ -29,20 +29,11 @@ from sarsplat.samples.backdrop import backdrop_of
 from sarsplat.samples.encoding import Encoding
 from sarsplat.settings.config import SCATTERERS
 
-_AROUND = 360
-"""Default number of chips of a run."""
-
-_MOST = 100_000_000
-"""Maximum number of chips of a set: file names have eight digits."""
-
-_GOLDEN = (math.sqrt(5) - 1) / 2
-"""Step between azimuths, turns: any number of them is spread evenly."""
-
-_FAR_DEG = 10.0
-"""Distance from the grazing angles of a training beyond which a warning is given."""
-
-_DECIMALS = 4
-"""Decimals of drawn angles, degrees, so that the table of labels holds them exactly."""
+_AROUND = 360  # default number of chips of a run
+_MOST = 100_000_000  # maximum number of chips of a set: file names have eight digits
+_GOLDEN = (math.sqrt(5) - 1) / 2  # step between azimuths, turns: any number of them is spread evenly
+_FAR_DEG = 10.0  # distance from the grazing angles of a training beyond which a warning is given
+_DECIMALS = 4  # decimals of drawn angles, degrees, so that the table of labels holds them exactly
 
 
 @dataclass(frozen=True)

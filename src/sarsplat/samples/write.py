@@ -43,18 +43,13 @@ from sarsplat.samples.encoding import (
 
 _COLUMNS = ("path", "class", "azimuth_deg", "grazing_deg", "seed", "run", *IMPORT_COLUMNS, "near_side")
 
-_MIN_ITEMS = 100
-"""Minimum number of items for which processes are started."""
-
-_BATCH = 16
-"""Items sent to a process at a time."""
-
+_MIN_ITEMS = 100  # minimum number of items for which processes are started
+_BATCH = 16  # items sent to a process at a time
 _PR_SET_PDEATHSIG = 1  # of Linux's prctl
 
 T = TypeVar("T")
 
-_SCALES = "scales.npy"
-"""Temporary file of the scales of finished chips, which the table takes in the end."""
+_SCALES = "scales.npy"  # temporary file of the scales of finished chips, which the table takes in the end
 
 MARKER = "chips.json"
 """File that marks a folder of chips."""

@@ -13,8 +13,7 @@ from scipy.sparse.csgraph import connected_components
 if TYPE_CHECKING:
     import trimesh
 
-_ROUNDINGS = 32
-"""Tolerance of a flat patch, in roundings of float32, in which meshes are stored and rays are traced."""
+_ROUNDINGS = 32  # tolerance of a flat patch, in roundings of float32, in which meshes are stored and rays are traced
 _STEPS_AT_ONCE = 1 << 20
 
 

@@ -9,16 +9,13 @@ from jaxtyping import Bool, Float64, Int
 
 from sarsplat.errors import SarsplatError
 
-_FLAT = 1e-6
-"""Tolerance of a flat polygon: distance of a corner from its plane, relative to its size."""
-_ROUNDING = 1e-9
-"""Tolerance of an area, relative to the square of a polygon's size."""
+_FLAT = 1e-6  # tolerance of a flat polygon: distance of a corner from its plane, relative to its size
+_ROUNDING = 1e-9  # tolerance of an area, relative to the square of a polygon's size
 _TIE = 1e-7
 """Difference between diagonals of equal length, relative to a polygon's size, by their place along `_TIE_AXIS`."""
 _TIE_AXIS = np.array([0.36, 0.48, 0.8])
 _MAX_CORNERS = 2_000
-_MAX_WORK = 200_000_000
-"""Maximum sum of squared numbers of corners over the concave polygons of a file."""
+_MAX_WORK = 200_000_000  # maximum sum of squared numbers of corners over the concave polygons of a file
 
 _PLY_TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
 _PLY_TYPES |= {"float": "f4", "double": "f8"}

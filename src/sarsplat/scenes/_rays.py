@@ -24,16 +24,13 @@ if TYPE_CHECKING:
 _LATTICE_TILT = math.atan((math.sqrt(5) - 1) / 2)
 
 _RAYS_PER_BATCH = 1 << 20
-_MAX_RAYS = 1e8
-"""Maximum number of rays of a view: half a minute."""
+_MAX_RAYS = 1e8  # maximum number of rays of a view: half a minute
 
 Trace = Callable[[Float64[np.ndarray, "k 2"]], Int32[np.ndarray, " k"]]
 """Function from positions (x_r, y_r) of rays to the first faces that they hit, −1 without a hit."""
 
-_RAYS_PER_SIDE = 8
-"""Rays along each side of a square."""
-_SQUARES_PER_TILE = 128
-"""Squares along each side of a tile."""
+_RAYS_PER_SIDE = 8  # rays along each side of a square
+_SQUARES_PER_TILE = 128  # squares along each side of a tile
 _SQUARES_PER_BATCH = 1 << 12
 _FLAT_STEP = 0.2
 """Maximum distance of deposits on a flat patch, relative to the resolution: up to 0.6 images show no moiré, and up to

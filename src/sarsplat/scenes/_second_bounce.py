@@ -33,14 +33,10 @@ Points = Float64[np.ndarray, "k 3"]
 BY_GROUND, BETWEEN_FACETS = "by way of the ground", "between facets"
 """Names of the kinds of second bounces."""
 
-_LIFT = 1e-5
-"""Distance of the start of a leg from the surface, relative to the mesh: a hundred roundings of float32."""
-_COHERENT = 4.0
-"""Power of two equal amplitudes (both senses of a path), relative to one."""
-_DIRECTIONS = 4
-"""Directions from facet to facet for each square between rays."""
-_STEEPEST = 1.0
-"""`least_slope` of `sparse_hits`, because the foot of a point moves with its elevation."""
+_LIFT = 1e-5  # distance of the start of a leg from the surface, relative to the mesh: a hundred roundings of float32
+_COHERENT = 4.0  # power of two equal amplitudes (both senses of a path), relative to one
+_DIRECTIONS = 4  # directions from facet to facet for each square between rays
+_STEEPEST = 1.0  # `least_slope` of `sparse_hits`, because the foot of a point moves with its elevation
 _EVENLY = 0.7548776662466927, 0.5698402909980532
 """Steps a, b from the plastic number: points (i a, i b) modulo 1 fill the unit square evenly."""
 

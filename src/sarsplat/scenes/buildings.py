@@ -23,8 +23,7 @@ from sarsplat.geometry.responses import variance_of
 if TYPE_CHECKING:
     import trimesh
 
-_CLEAR = 2.0
-"""Distance from edges at which levels are measured, 3 dB widths: the response has settled to 10⁻⁶ there."""
+_CLEAR = 2.0  # distance from edges at which levels are measured, 3 dB widths: the response has settled to 10⁻⁶ there
 
 
 @dataclass(frozen=True)

@@ -35,8 +35,7 @@ dipoles are in between, with an eighth of their power in each cross-polarised ch
 _LEVEL, _UPRIGHT = 0.9, 0.1
 """Minimum vertical component of the normals of level facets, and maximum one of upright facets."""
 
-_TOLERANCE = 1e-9
-"""Tolerance of negative eigenvalues of a matrix."""
+_TOLERANCE = 1e-9  # tolerance of negative eigenvalues of a matrix
 
 
 @dataclass(frozen=True)

@@ -31,20 +31,14 @@ _LARGEST_TARGET, _SMALLEST_TARGET = 1.0, 2.0
 """Plausible sizes of a target, in image sides and in resolution widths: vehicles in other units are outside."""
 
 _FORMATS = (".obj", ".stl", ".ply", ".off", ".glb")
-_FARTHEST = 1e9
-"""Maximum distance of a vertex from the origin, m: beyond any mistaken unit, with a finite square."""
+_FARTHEST = 1e9  # maximum distance of a vertex from the origin, m: beyond any mistaken unit, with a finite square
 _LARGEST = {"binary": 1 << 28, ".obj": 1 << 25, ".stl": 1 << 25, ".off": 1 << 24, ".ply": 1 << 24}
 """Maximum size of binary files, and of text, bytes: trimesh needs 50 times (.obj, .stl) to 80 times as much memory."""
-_HEAD = 1 << 12
-"""Bytes that tell a binary file from text."""
-_FREE_NUMBERS = 100_000
-"""Count of numbers to which a .glb file of any size may expand."""
-_LONGEST_SCENE = 1 << 20
-"""Maximum length of the JSON in a .glb file, bytes."""
-_MAX_PARTS = 2_000
-"""Maximum number of nodes and primitives of a glTF scene: trimesh takes 0.1 ms for each."""
-_MAX_SOLIDS = 1_000
-"""Maximum number of solids in an ASCII .stl file: 0.5 ms for each."""
+_HEAD = 1 << 12  # bytes that tell a binary file from text
+_FREE_NUMBERS = 100_000  # count of numbers to which a .glb file of any size may expand
+_LONGEST_SCENE = 1 << 20  # maximum length of the JSON in a .glb file, bytes
+_MAX_PARTS = 2_000  # maximum number of nodes and primitives of a glTF scene: trimesh takes 0.1 ms for each
+_MAX_SOLIDS = 1_000  # maximum number of solids in an ASCII .stl file: 0.5 ms for each
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 
 _MISSING = "has faces that refer to missing vertices; repair the mesh"

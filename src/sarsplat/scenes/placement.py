@@ -16,18 +16,12 @@ from sarsplat.scenes.meshes import is_larger
 if TYPE_CHECKING:
     import trimesh
 
-_SUNK_CELLS = 0.5
-"""Depth below the ground without a warning, resolution cells: wheels and tracks may sink in."""
-_LITTLE = 0.01
-"""Share of the surface below level ground without a warning."""
-_FOUNDATIONS = 0.25
-"""Share of the surface below terrain without a warning: houses have foundations."""
-_CUT_OFF = 0.25
-"""Share of the surface outside of an image without a warning."""
-_LEANS = 0.02
-"""Tolerance of y up, relative to the size: the mesh stands on y = 0 and is centred on z = 0."""
-_ROUNDED = 0.1
-"""Rounding of float32 without a warning, resolution cells."""
+_SUNK_CELLS = 0.5  # depth below the ground without a warning, resolution cells: wheels and tracks may sink in
+_LITTLE = 0.01  # share of the surface below level ground without a warning
+_FOUNDATIONS = 0.25  # share of the surface below terrain without a warning: houses have foundations
+_CUT_OFF = 0.25  # share of the surface outside of an image without a warning
+_LEANS = 0.02  # tolerance of y up, relative to the size: the mesh stands on y = 0 and is centred on z = 0
+_ROUNDED = 0.1  # rounding of float32 without a warning, resolution cells
 
 
 def recentred(mesh: trimesh.Trimesh, *, aloft: bool = False) -> tuple[trimesh.Trimesh, tuple[float, float, float]]:

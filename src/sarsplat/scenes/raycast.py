@@ -30,21 +30,15 @@ from sarsplat.scenes.scattering import ScatteringLaw, check_ground, check_reflec
 if TYPE_CHECKING:
     import trimesh
 
-_OFFSETS = (0.5, 0.5), (0.0, 0.0)
-"""Ray offsets whose images are compared for the error of the rays."""
-_FAINTEST = 1e-3
-"""Minimum power of pixels for the error of the rays, relative to the brightest."""
-_NO_TARGET = -1.0
-"""Sentinel: reflectivity of terrain, so that no patch joins target and terrain."""
+_OFFSETS = (0.5, 0.5), (0.0, 0.0)  # ray offsets whose images are compared for the error of the rays
+_FAINTEST = 1e-3  # minimum power of pixels for the error of the rays, relative to the brightest
+_NO_TARGET = -1.0  # sentinel: reflectivity of terrain, so that no patch joins target and terrain
 _RAYS_PER_RESOLUTION, _RAYS_PER_MESH = 15.0, 100.0
 """Minimum number of rays across a resolution cell, and along the mesh."""
-_STEEPEST_DEG = 85.0
-"""Maximum grazing angle of views whose images are full of terrain."""
-_PARTS, _RAYS = 5, 2
-"""Parts of a mask along each side of a pixel, and rays along the shorter side of a part."""
+_STEEPEST_DEG = 85.0  # maximum grazing angle of views whose images are full of terrain
+_PARTS, _RAYS = 5, 2  # parts of a mask along each side of a pixel, and rays along the shorter side of a part
 _OFFSET = 0.5, 0.5
-_DIRECT = 0.1
-"""Share of the direct image in the time of an image with second bounces."""
+_DIRECT = 0.1  # share of the direct image in the time of an image with second bounces
 
 
 @checks_arguments

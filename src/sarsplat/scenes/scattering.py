@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 
 _STREAMS: dict[str, tuple[int, ...]] = {"speckle": (), "reflectivity": (1,), "views": (2,), "scatterers": (3,)}
 _MAX_GAMMA0 = 1e6
-_MAX_SPREAD_DB = 10.0
-"""Maximum standard deviation of factors on γ⁰: they span six orders of magnitude."""
+_MAX_SPREAD_DB = 10.0  # maximum standard deviation of factors on γ⁰: they span six orders of magnitude
 
 
 def generator(seed: int, purpose: Literal["speckle", "reflectivity", "views", "scatterers"]) -> np.random.Generator:

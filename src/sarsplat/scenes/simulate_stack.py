@@ -28,17 +28,10 @@ from sarsplat.scenes.scattering import ScatteringLaw, generator
 if TYPE_CHECKING:
     import trimesh
 
-_PER_CELL = 8
-"""Scatterers along each side of a resolution cell: their sum is speckle to a few per cent."""
-
-_NODES = 5
-"""Nodes per pixel and axis on which points are summed: phases are exact, positions to a tenth of a pixel."""
-
-_REACH = 8.0
-"""Reach of the response, 3 dB widths; side lobes beyond are left out."""
-
-_BATCH = 1 << 19
-"""Rays at once."""
+_PER_CELL = 8  # scatterers along each side of a resolution cell: their sum is speckle to a few per cent
+_NODES = 5  # nodes per pixel and axis on which points are summed: phases are exact, positions to a tenth of a pixel
+_REACH = 8.0  # reach of the response, 3 dB widths; side lobes beyond are left out
+_BATCH = 1 << 19  # rays at once
 
 
 @checks_arguments

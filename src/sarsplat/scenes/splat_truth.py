@@ -22,12 +22,9 @@ if TYPE_CHECKING:
 
 # Tuned against the ray caster (docs/reference/forward-model.md): wider or denser discs bulge over edges and appear
 # nearer than the surface, narrower or thinner ones leak.
-_WIDENING = 1.2
-"""Standard deviations of a Gaussian, relative to those of a uniform density on its piece."""
-_SHEET_DEPTH = 7.0
-"""Mean two-way optical depth of the surface."""
-_THICKNESS = 0.01
-"""Standard deviation along the normal, relative to the size of a piece."""
+_WIDENING = 1.2  # standard deviations of a Gaussian, relative to those of a uniform density on its piece
+_SHEET_DEPTH = 7.0  # mean two-way optical depth of the surface
+_THICKNESS = 0.01  # standard deviation along the normal, relative to the size of a piece
 _MAX_GAUSSIANS = 1e7
 
 

@@ -11,10 +11,8 @@ from jaxtyping import Float64, Int64, Real
 if TYPE_CHECKING:
     import trimesh
 
-_BATCH = 1 << 14
-"""Points at once: intermediate results stay in the processor's cache."""
-_MAX_STARTS = 1 << 20
-"""Maximum length of the lookup table."""
+_BATCH = 1 << 14  # points at once: intermediate results stay in the processor's cache
+_MAX_STARTS = 1 << 20  # maximum length of the lookup table
 
 
 def surface_samples(

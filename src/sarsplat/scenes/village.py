@@ -17,10 +17,8 @@ LOT_M = 18.0
 """Side of a lot."""
 FITTING = 0.64
 """Maximum side of a village that images show whole from all sides, relative to the image's side."""
-_EMPTY = 0.12
-"""Share of empty lots."""
-_LARGEST_M = 10_000.0
-"""Maximum side of a village."""
+_EMPTY = 0.12  # share of empty lots
+_LARGEST_M = 10_000.0  # maximum side of a village
 
 
 @checks_arguments

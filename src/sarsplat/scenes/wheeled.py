@@ -99,8 +99,7 @@ def _btr70_turret() -> list[trimesh.Trimesh]:
     return [cone, mantlet, gun, second, sight]
 
 
-_KRAZ_AXLES_X = (3.30, -1.30, -2.70)
-"""Wheelbase 4.6 m, bogie 1.4 m; single wide tyres of 1.30 m all round."""
+_KRAZ_AXLES_X = (3.30, -1.30, -2.70)  # wheelbase 4.6 m, bogie 1.4 m; single wide tyres of 1.30 m all round
 
 _BED = (-4.32, 0.24)
 _FLOOR, _BOARDS = 1.60, 2.42

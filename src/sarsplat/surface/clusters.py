@@ -15,17 +15,13 @@ from sarsplat.extras import install_command
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.surface.cells import numbered
 
-_CUBES = 4
-"""Cubes per DBSCAN radius."""
-
-_TOUCHING = 1.8
-"""Maximum distance of adjacent cubes (a corner is √3), in sides."""
+_CUBES = 4  # cubes per DBSCAN radius
+_TOUCHING = 1.8  # maximum distance of adjacent cubes (a corner is √3), in sides
 
 _BRIGHT_VIEWS = 0.25
 """Share of views beyond which a cluster must reach the threshold: many are bright from one side only."""
 
-_NAMED = 3
-"""Maximum number of clusters whose places a note names."""
+_NAMED = 3  # maximum number of clusters whose places a note names
 
 
 def largest(points: Float64[np.ndarray, "p 3"], radius: float, size: int) -> Bool[np.ndarray, " p"]:

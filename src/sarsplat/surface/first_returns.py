@@ -19,11 +19,8 @@ from sarsplat.surface import cells
 from sarsplat.surface.bricks import Brick, Scene, Window
 from sarsplat.tiles import at_once
 
-_AT_ONCE = 1 << 22
-"""Maximum number of rays, and of pairs of a point and a view, in a batch."""
-
-_WORTH = 0.9
-"""Share of remaining points below which the dropped ones are removed from arrays, on the CPU."""
+_AT_ONCE = 1 << 22  # maximum number of rays, and of pairs of a point and a view, in a batch
+_WORTH = 0.9  # share of remaining points below which the dropped ones are removed from arrays, on the CPU
 
 
 def view_batches(gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, rays: RayGrid) -> Iterator[list[View]]:

@@ -16,11 +16,8 @@ from sarsplat.surface.points import imaged, spread
 
 _MOST_VIEWS = 96
 
-_STEEP = 0.3
-"""Upward part of a normal below which a point belongs to a wall, which has no area from above."""
-
-_HIDDEN = 0.5
-"""Two-way loss above which ground is hidden from a view."""
+_STEEP = 0.3  # upward part of a normal below which a point belongs to a wall, which has no area from above
+_HIDDEN = 0.5  # two-way loss above which ground is hidden from a view
 
 
 def uppermost(

@@ -14,11 +14,8 @@ from torch import Tensor
 from sarsplat.surface import cells
 from sarsplat.threads import uninterruptible
 
-_PAIRS = 1 << 22
-"""Maximum number of pairs of a place and a point in a batch, to bound memory."""
-
-_MEASURED = 10_000
-"""Maximum number of points whose nearest neighbour gives the spacing."""
+_PAIRS = 1 << 22  # maximum number of pairs of a place and a point in a batch, to bound memory
+_MEASURED = 10_000  # maximum number of points whose nearest neighbour gives the spacing
 
 
 @dataclass(frozen=True)

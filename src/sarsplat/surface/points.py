@@ -32,14 +32,9 @@ from sarsplat.surface.first_returns import FirstReturns, FirstReturnsOnCpu, view
 from sarsplat.tiles.plan import memory_bytes
 
 _MOST_VIEWS = 96
-_MOST_RAYS = 2e7
-"""Maximum number of rays of a brick, in all views together."""
-
-_COARSEST = 2 / 3
-"""Maximum spacing of rays in large scenes, resolution cells."""
-
-_SAMPLES = 3.0
-"""Minimum mean number of returns per voxel, if about a third of the views see a surface."""
+_MOST_RAYS = 2e7  # maximum number of rays of a brick, in all views together
+_COARSEST = 2 / 3  # maximum spacing of rays in large scenes, resolution cells
+_SAMPLES = 3.0  # minimum mean number of returns per voxel, if about a third of the views see a surface
 
 _RETURN, _POINT, _KEPT = 130, 650, 72
 """Upper bounds of memory, bytes: of a return while thinning, of a point while its normal is found, and afterwards."""

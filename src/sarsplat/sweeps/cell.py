@@ -25,17 +25,13 @@ from sarsplat.sweeps.plan import Plan
 NAMES = ("part", "dataset", "method", "preset")
 """Labels that are not settings."""
 
-_NO_RESULT = ("preset", "checkpoint_every")
-"""Settings that change no result."""
+_NO_RESULT = ("preset", "checkpoint_every")  # settings that change no result
 
 TRAINING, SCORING = "sarsplat.runs.reconstruction", "sarsplat.evaluation.evaluate"
 """Root modules of training and scoring; a method adds its own module."""
 
-_SETTLED = "sarsplat.settings.presets"
-"""Module left out of the code's digest: its content is in the settings."""
-
-_MESSAGE_CALLS = ("warn", "note", "stage", "progress")
-"""Functions whose texts change no result."""
+_SETTLED = "sarsplat.settings.presets"  # module left out of the code's digest: its content is in the settings
+_MESSAGE_CALLS = ("warn", "note", "stage", "progress")  # functions whose texts change no result
 
 _DIGITS = 16
 

@@ -25,15 +25,11 @@ from sarsplat.sweeps.work import ROWS, RUNS, row_of
 
 HEADER, TABLE, PAGE = "sweep.json", "results.csv", "index.html"
 _SCHEMA = "sarsplat-sweep"
-_SHARE = 0.05
-"""Maximum share of the time for writing results while runs go on."""
-
-_PATIENCE_S = 2.0
-"""Time between two checks of runs in other processes."""
+_SHARE = 0.05  # maximum share of the time for writing results while runs go on
+_PATIENCE_S = 2.0  # time between two checks of runs in other processes
 
 _EVERY_S = 10.0
-_SHOWN = 2
-"""Maximum number of runs named at a time."""
+_SHOWN = 2  # maximum number of runs named at a time
 
 
 @checks_arguments

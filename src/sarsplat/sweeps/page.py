@@ -16,11 +16,8 @@ from sarsplat.sweeps.cell import NAMES
 from sarsplat.sweeps.results import Line, Result, Results, Spread, label_text
 from sarsplat.sweeps.work import RUNS
 
-_SETTLED = (*NAMES, "test set")
-"""Labels that are not settings."""
-
-_DECADE = 8.0
-"""Ratio of largest to smallest value above which a setting's axis is logarithmic."""
+_SETTLED = (*NAMES, "test set")  # labels that are not settings
+_DECADE = 8.0  # ratio of largest to smallest value above which a setting's axis is logarithmic
 
 
 @dataclass(frozen=True)

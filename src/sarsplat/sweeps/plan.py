@@ -15,8 +15,7 @@ from sarsplat.settings.kinds import Seed
 from sarsplat.settings.record import Record, dotted
 
 _MARK = "dataset.json"
-_OWN = {"seed": "seeds", "preset": "preset"}
-"""Settings that are keys of a plan, with these keys."""
+_OWN = {"seed": "seeds", "preset": "preset"}  # settings that are keys of a plan, with these keys
 
 
 @dataclass(frozen=True)

@@ -27,11 +27,9 @@ ROWS, RUNS = "rows", "runs"
 """Folders of a sweep."""
 
 _lock = threading.Lock()
-_lists: dict[int, list[str]] = {}
-"""Messages of the block that each thread is in."""
+_lists: dict[int, list[str]] = {}  # messages of the block that each thread is in
 
-_usual = ExitStack()
-"""Restores the process's handling of warnings."""
+_usual = ExitStack()  # restores the process's handling of warnings
 
 
 class Row(msgspec.Struct):

@@ -20,8 +20,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.tiles.plan import Tile
 
-_folder: ContextVar[Path | None] = ContextVar("_folder", default=None)
-"""Folder of the cache, if any."""
+_folder: ContextVar[Path | None] = ContextVar("_folder", default=None)  # folder of the cache, if any
 
 
 @contextmanager

@@ -39,8 +39,7 @@ MAX_POINTS = 60_000
 """Maximum number of points drawn."""
 
 _ONE_DIRECTION = 1e-12  # tolerance of cosines of equal directions
-_FAINT = 0.05
-"""Optical depth below which a Gaussian is not drawn."""
+_FAINT = 0.05  # optical depth below which a Gaussian is not drawn
 
 
 @dataclass(frozen=True)

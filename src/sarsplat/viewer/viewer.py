@@ -52,11 +52,8 @@ _ACROSS = 2  # pictures in a row
 _SAME_DEG = 0.05  # largest angle between equal views
 _FIRST_AZIMUTH_DEG = 45.0
 
-_SHARE = 0.03
-"""Maximum share of a training's time that is spent on showing it."""
-
-_WAIT_S = 2.0
-"""Maximum wait for one picture, s."""
+_SHARE = 0.03  # maximum share of a training's time that is spent on showing it
+_WAIT_S = 2.0  # maximum wait for one picture, s
 
 
 class Viewer:

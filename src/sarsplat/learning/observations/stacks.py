@@ -22,8 +22,7 @@ from sarsplat.settings.sections import Passes
 _AVERAGING, _STEP = 11, 4
 """Memory in numbers per pixel and pair of channels: while one stack is averaged, and for each stack of a step."""
 
-_MIN_NOISE = 1e-6
-"""Minimum noise, relative to the mean power, with which covariances can be inverted in float32."""
+_MIN_NOISE = 1e-6  # minimum noise, relative to the mean power, with which covariances can be inverted in float32
 
 
 class StackImages(TrainingImages):

@@ -13,8 +13,7 @@ from sarsplat.geometry import ImageGrid, Stack, View
 from sarsplat.learning.parts.part import Learned, Parameters, Part, Shot, normal_nats
 from sarsplat.settings.config import Config
 
-_HEIGHTS = 512
-"""Number of heights tried for the mean scatterer of a stack."""
+_HEIGHTS = 512  # number of heights tried for the mean scatterer of a stack
 
 
 class PassNoise(Part):

@@ -31,25 +31,20 @@ from sarsplat.settings.config import Config
 
 _MIN_OPTICAL_DEPTH = 1e-3
 
-_FAINT = 0.05
-"""Optical depth of a faint Gaussian, the scale of the sparsity prior."""
+_FAINT = 0.05  # optical depth of a faint Gaussian, the scale of the sparsity prior
 
 _INITIAL_WIDTHS = (1.0, 1.0, 0.9)
 """Relative initial widths of an oriented Gaussian: rounding must not decide which axis is the shortest."""
 
-_SIMILAR = 0.6
-"""Scale of the scattering penalty: larger differences of parameters cost little more."""
-
-_STEP, _SEED = 0x9E3779B97F4A7C15, 0xD1B54A32D192ED03
-"""Odd multipliers that spread step and seed over 64 bits."""
+_SIMILAR = 0.6  # scale of the scattering penalty: larger differences of parameters cost little more
+_STEP, _SEED = 0x9E3779B97F4A7C15, 0xD1B54A32D192ED03  # odd multipliers that spread step and seed over 64 bits
 
 _MIX = (0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
 """Steele, Lea & Flood, Fast splittable pseudorandom number generators, 2014, as improved by Stafford (variant 13)."""
 
 _BITS = 24
 
-_MAX_SHARE = 0.4
-"""Maximum share dropped because there are few views."""
+_MAX_SHARE = 0.4  # maximum share dropped because there are few views
 
 
 class Target(Part):

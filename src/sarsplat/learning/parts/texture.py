@@ -18,17 +18,10 @@ from sarsplat.learning.snapshot import fitting
 from sarsplat.settings.config import Config
 from sarsplat.settings.sections import Surroundings
 
-_NEGLIGIBLE = 0.02
-"""Weight below which an image is neglected."""
-
-_PITCH = 0.6
-"""Spacing of the maps on the ground, resolution cells."""
-
-_TRUNCATED = 4.0
-"""Radius of the smoothing window, standard deviations."""
-
-_MAX_NUMBERS = 2**27
-"""Maximum size of all maps together, numbers; larger maps are coarser."""
+_NEGLIGIBLE = 0.02  # weight below which an image is neglected
+_PITCH = 0.6  # spacing of the maps on the ground, resolution cells
+_TRUNCATED = 4.0  # radius of the smoothing window, standard deviations
+_MAX_NUMBERS = 2**27  # maximum size of all maps together, numbers; larger maps are coarser
 
 
 class Texture(Part):

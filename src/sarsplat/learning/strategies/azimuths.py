@@ -17,11 +17,8 @@ from sarsplat.learning.strategies.strategy import Configured, Info, State, at_ro
 from sarsplat.settings.config import Config
 from sarsplat.settings.sections import Surroundings
 
-_REACH = 2.5
-"""Largest offset tried, standard deviations of the label."""
-
-_EACH_WAY = 5
-"""Number of offsets tried on each side of the label."""
+_REACH = 2.5  # largest offset tried, standard deviations of the label
+_EACH_WAY = 5  # number of offsets tried on each side of the label
 
 NegativeLogLikelihood = Callable[[Sequence[View], Int64[np.ndarray, " n"]], Float64[np.ndarray, " n"]]
 """Function from views and numbers of training images to each image's negative log-likelihood, nats."""

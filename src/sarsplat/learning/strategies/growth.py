@@ -15,8 +15,7 @@ from sarsplat.radiometry import usual_peak
 from sarsplat.settings.config import Config
 from sarsplat.settings.sections import Relocation
 
-_SHARE = 0.9
-"""Share of the images' error held by the Gaussians that are split; the others stay."""
+_SHARE = 0.9  # share of the images' error held by the Gaussians that are split; the others stay
 
 
 class Growing(Configured):

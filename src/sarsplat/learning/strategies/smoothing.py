@@ -22,24 +22,16 @@ from sarsplat.learning.strategies.strategy import Configured, Info, State, at_ro
 from sarsplat.settings.config import Config
 from sarsplat.settings.sections import Smoothing
 
-_MIN_LIT_SHARE = 0.05
-"""Minimum lit area of a cell, relative to the mean over cells; cells below are ignored."""
-
-_NORMALS_POWER = 8
-"""Exponent of the cosine between normals in a neighbour's weight: walls hardly count for roofs."""
+_MIN_LIT_SHARE = 0.05  # minimum lit area of a cell, relative to the mean over cells; cells below are ignored
+_NORMALS_POWER = 8  # exponent of the cosine between normals in a neighbour's weight: walls hardly count for roofs
 
 _WIDE = (0.1, 0.4)
 """Ratios of a plane's two mean squared widths between which the movement rises from none to full: narrow parts are all
 edges. The ratio is 1 inside a roof, 0.4 at its edge, and at most 0.15 for parts two cells wide."""
 
-_MIN_WIDTH = 1e-4
-"""Minimum of the larger mean squared width, square cells: below are rounding errors of isolated cells."""
-
-_BATCH = 1 << 13
-"""Number of planes fitted at once: a few megabytes of pairs."""
-
-_FITS = 2
-"""Number of fits of each plane; outliers of one weigh less in the next."""
+_MIN_WIDTH = 1e-4  # minimum of the larger mean squared width, square cells: below are rounding errors of isolated cells
+_BATCH = 1 << 13  # number of planes fitted at once: a few megabytes of pairs
+_FITS = 2  # number of fits of each plane; outliers of one weigh less in the next
 
 
 class Smoothed(Configured):

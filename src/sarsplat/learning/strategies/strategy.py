@@ -20,8 +20,7 @@ from sarsplat.learning.training_images import TrainingImages
 from sarsplat.renderer import Bounds, Rendering, channel_of
 from sarsplat.settings.config import Config
 
-_FAINTEST = 1e-6
-"""Power relative to the brightest pixel, added before errors are divided by power."""
+_FAINTEST = 1e-6  # power relative to the brightest pixel, added before errors are divided by power
 
 
 @dataclass

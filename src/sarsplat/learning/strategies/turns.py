@@ -21,20 +21,14 @@ from sarsplat.learning.strategies.strategy import Configured, Info, State, at_ro
 from sarsplat.settings.config import Config
 from sarsplat.settings.sections import Turns
 
-_DIFFERENCE = 0.25
-"""Movement of the target's edge in images of the finite differences, resolution cells."""
-
-_FRACTIONS = (1.0, 0.5, 0.25, 0.1, 0.03)
-"""Lengths of the line search, relative to the Gauss-Newton step."""
+_DIFFERENCE = 0.25  # movement of the target's edge in images of the finite differences, resolution cells
+_FRACTIONS = (1.0, 0.5, 0.25, 0.1, 0.03)  # lengths of the line search, relative to the Gauss-Newton step
 
 _OVERSHOOT = 1.7
 """Factor on the best step: the scene has adapted to the assumed views, which shortens the step, and follows later."""
 
-_REACH = 3.0
-"""Largest correction of axis and rate, standard deviations."""
-
-_FAINT = 1e-3
-"""Minimum power of a pixel that counts as a sample, relative to the brightest of its image."""
+_REACH = 3.0  # largest correction of axis and rate, standard deviations
+_FAINT = 1e-3  # minimum power of a pixel that counts as a sample, relative to the brightest of its image
 
 TURN_CORRECTIONS = "strategy/turns/correction"
 """Tensor in snapshots, float64 [passes, 3]: corrections of each pass, in the order of first frames: rotations of the

@@ -30,8 +30,7 @@ from sarsplat.renderer.engines.problem import level_direction
 from sarsplat.renderer.operations import Steps, amplitudes_along, bounced_with
 from sarsplat.renderer.rendering import Footprints
 
-_COHERENT = 4.0
-"""Power of two equal amplitudes over that of one."""
+_COHERENT = 4.0  # power of two equal amplitudes over that of one
 
 
 @dataclass(frozen=True)

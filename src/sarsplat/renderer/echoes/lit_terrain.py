@@ -30,8 +30,7 @@ _SHORT = {torch.float32: 0.25, torch.float64: 0.02}
 """Lengths, in standard deviations of the response, below which a difference of error functions has too few digits, and
 two-point quadrature is as good."""
 
-_MAX_SAVED = 1 << 22
-"""Weights of plain torch above which they are recomputed in the backward pass instead of saved."""
+_MAX_SAVED = 1 << 22  # weights of plain torch above which they are recomputed in the backward pass instead of saved
 
 
 @dataclass(frozen=True)

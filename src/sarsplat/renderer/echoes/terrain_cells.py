@@ -34,17 +34,13 @@ from sarsplat.renderer.point_queries import at_places
 RESPONSE_END = 6.0
 """Extent of the response, standard deviations: it vanishes in float32 beyond."""
 
-_MARGIN = 8
-"""Margin for displacements of images, pixels; larger ones need other rays."""
-
-_MAX_RAYS = 1e8
-"""Maximum rays of a view, and samples of the ground under them; a gigabyte."""
+_MARGIN = 8  # margin for displacements of images, pixels; larger ones need other rays
+_MAX_RAYS = 1e8  # maximum rays of a view, and samples of the ground under them; a gigabyte
 
 _MAX_GROUND = 1000.0
 """Maximum ground along a ray, relative to the extent shown: beyond it the grazing angle is too small."""
 
-_CHUNK = 1 << 21
-"""Heights that are interpolated at a time."""
+_CHUNK = 1 << 21  # heights that are interpolated at a time
 
 _CACHE_BYTES = 1 << 30
 

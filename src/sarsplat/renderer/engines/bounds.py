@@ -23,14 +23,9 @@ TILE = 16
 LEFT_BOUNDS = 127 << 56
 """Code in `Bounds.broken` of a Gaussian beyond the bounds; larger than any code of a kernel."""
 
-_BAD_GAIN = 126 << 56
-"""Code of an invalid gain, which no kernel reads; its index is added."""
-
-_MAX_ALLOCATED = 1 << 26
-"""Maximum slots or rays that are allocated for the worst case: a few gigabytes."""
-
-_MARGIN = 1.001
-"""Factor on extents, because the GPU computes in float32."""
+_BAD_GAIN = 126 << 56  # code of an invalid gain, which no kernel reads; its index is added
+_MAX_ALLOCATED = 1 << 26  # maximum slots or rays that are allocated for the worst case: a few gigabytes
+_MARGIN = 1.001  # factor on extents, because the GPU computes in float32
 
 Corner = tuple[float, float, float]
 

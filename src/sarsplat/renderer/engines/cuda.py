@@ -17,9 +17,7 @@ from sarsplat.renderer.engines.cuda_tiles import TileLists, fault_of, total
 from sarsplat.renderer.engines.passes import within
 
 _WARPS, _PAIR_FLOATS = 8, 23  # as in csrc/cuda_state.cuh and cuda_project.cuh
-
-_MAX_CHANNELS = 4
-"""Maximum channels of a launch, as in csrc/cuda_pixels.cuh."""
+_MAX_CHANNELS = 4  # maximum channels of a launch, as in csrc/cuda_pixels.cuh
 
 _BACKWARD = ("h", "returns", "slot_moments", "pixel_moments", "planes", "pair gradients")
 """Arrays that only a backward pass needs."""

@@ -20,11 +20,8 @@ from sarsplat.renderer.engines.on_device import kept_on_device
 THREADS = 256
 """Threads of a block, as in csrc/cuda_state.cuh."""
 
-_NON_BLOCKING = 1
-"""Flag of streams that do not synchronise with the legacy default stream, as torch's streams."""
-
-_COMPILING = threading.Lock()
-"""Lock of the first use of a GPU: one thread compiles."""
+_NON_BLOCKING = 1  # flag of streams that do not synchronise with the legacy default stream, as torch's streams
+_COMPILING = threading.Lock()  # lock of the first use of a GPU: one thread compiles
 
 _DRIVER = "nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1"
 

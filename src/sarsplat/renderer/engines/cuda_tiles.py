@@ -22,17 +22,12 @@ ViewLattice, State = _structures["Lattice"], _structures["State"]
 """Structures of the rays or pixels of one view, and of a pass's state on the device."""
 
 _SPLAT_FLOATS, _CHUNK = 8, 128  # as in csrc/cuda_state.cuh
-
-_MAX_SIDE, _MAX_RAYS = 131_068, 1 << 28
-"""Maximum side and number of rays of a view's lattice, as on the CPU engine."""
+_MAX_SIDE, _MAX_RAYS = 131_068, 1 << 28  # maximum side and number of rays of a view's lattice, as on the CPU engine
 
 _MAX_PAIRS = 1 << 31
 
-_MAX_RANKED = 1 << 16
-"""Maximum length of a tile's list that is ordered by counting predecessors, in quadratic time."""
-
-_UNLIMITED = (1 << 63) - 1
-"""Sentinel: largest sort key, and no limit of a count."""
+_MAX_RANKED = 1 << 16  # maximum length of a tile's list that is ordered by counting predecessors, in quadratic time
+_UNLIMITED = (1 << 63) - 1  # sentinel: largest sort key, and no limit of a count
 
 
 class TileLists(Arrays):

@@ -27,8 +27,7 @@ def being_recorded() -> bool:
     return torch.cuda.is_available() and torch.cuda.is_current_stream_capturing()
 
 
-_read: list[list[object]] = []
-"""Cached objects that each recording in progress has read."""
+_read: list[list[object]] = []  # cached objects that each recording in progress has read
 
 
 @contextmanager

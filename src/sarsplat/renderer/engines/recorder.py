@@ -19,11 +19,8 @@ MOST_WORDS = 992
 
 _Words = c_int32 * MOST_WORDS
 
-_RECORDING = threading.Lock()
-"""Lock of recordings: torch's list of graphs with its random generator is not thread-safe."""
-
-_RETIRED: list[torch.cuda.CUDAGraph] = []
-"""Unused graphs, which are freed while no thread records."""
+_RECORDING = threading.Lock()  # lock of recordings: torch's list of graphs with its random generator is not thread-safe
+_RETIRED: list[torch.cuda.CUDAGraph] = []  # unused graphs, which are freed while no thread records
 
 _IDLE: dict[torch.device, list[tuple[torch.cuda.Stream, torch.cuda.Stream | None]]] = {}
 """Streams of deleted recorders, and the streams on which their records may still run."""

@@ -15,8 +15,7 @@ from sarsplat.renderer.engines.cuda_device import Launcher, device, require_cuda
 from sarsplat.renderer.engines.passes import NewPass
 from sarsplat.renderer.engines.stages import Render
 
-_LARGEST_ERROR = 2e-5
-"""Maximum relative difference in the Euclidean norm; the emulated engine has 6e-7."""
+_LARGEST_ERROR = 2e-5  # maximum relative difference in the Euclidean norm; the emulated engine has 6e-7
 
 _VIEWS = (View(20.0, 30.0), View(140.0, 50.0))
 _GRID = ImageGrid(40, 56, (0.3, 0.25), (0.4, 0.3))
