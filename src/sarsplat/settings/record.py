@@ -147,9 +147,9 @@ def _allowed(hint: Any) -> str:
 
 
 def dotted(settings: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
-    """Flatten nested settings to dotted names, such as `rates.means`."""
+    """Flatten nested mappings to dotted names, such as `rates.means`."""
     for name, value in settings.items():
-        if isinstance(value, dict):
+        if isinstance(value, Mapping):
             yield from dotted(value, f"{before}{name}.")
         else:
             yield f"{before}{name}", value

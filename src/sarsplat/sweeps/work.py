@@ -21,6 +21,7 @@ from sarsplat.executors.executor import Work
 from sarsplat.runs import Run, reconstruct
 from sarsplat.runs.methods import method_named
 from sarsplat.runs.run_folder import HEADER
+from sarsplat.settings.record import dotted
 from sarsplat.sweeps.cell import Cell
 
 ROWS, RUNS = "rows", "runs"
@@ -183,14 +184,7 @@ def _without_folder(reason: str, run: Path) -> str:
 def scores_in(metrics: Mapping[str, Any]) -> dict[str, float]:
     """Scores of a `metrics.json` by dotted key, without None."""
     scores = {name: metrics[name] for name in ("images", "points", "mesh", "baselines", "time_s")}
-    return {name: value for name, value in _flat(scores) if value is not None}
-
-
-def _flat(values: Mapping[str, Any], before: str = "") -> list[tuple[str, float | None]]:
-    flat: list[tuple[str, float | None]] = []
-    for name, value in values.items():
-        flat += _flat(value, f"{before}{name}.") if isinstance(value, Mapping) else [(f"{before}{name}", value)]
-    return flat
+    return {name: value for name, value in dotted(scores) if value is not None}
 
 
 RUN = Work(Cell, Row, do, lost, "start the sweep again to continue it")

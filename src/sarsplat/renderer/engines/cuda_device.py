@@ -33,7 +33,6 @@ class Launcher(Protocol):
 
     def launch(self, name: str, blocks: int, threads: int, *arguments: ctypes._CData) -> None:
         """Queue a kernel after those before it; its arguments are C values."""
-        ...
 
 
 class Device:

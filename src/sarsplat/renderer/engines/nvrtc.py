@@ -48,7 +48,6 @@ class Compiler(Protocol):
 
     def compile(self, sources: Mapping[str, str], architecture: str) -> bytes:
         """Compile `MAIN`, which includes the other sources by name, to machine code."""
-        ...
 
 
 def sources() -> dict[str, str]:

@@ -14,31 +14,24 @@ class Pass(Protocol):
 
     def forward(self, step: str, problem: ctypes.Structure, *arguments: object) -> tuple[str, int]:
         """Run a step; return the rejected input ("" for none) and its index."""
-        ...
 
     def backward(self, step: str, problem: ctypes.Structure, *arguments: object) -> None:
         """Run the adjoint of the last forward call; "project" is stateless: of any problem."""
-        ...
 
     def lattices(self, views: int) -> list[ctypes.Structure]:
         """Return the ray lattices of the views; for `ChosenViews`, of all candidates."""
-        ...
 
     def ray_count(self, views: int) -> int:
         """Return the number of rays that `trace` fills; `ChosenViews` have room for the largest lattice each."""
-        ...
 
     def trace(self, problem: ctypes.Structure, depth: float, transmittance: int, first_return: int | None) -> None:
         """Fill T_end and, unless None, the first-return ranges of the rays of all views, one after the other."""
-        ...
 
     def has(self, operation: str, numbers: Mapping[str, Any]) -> bool:
         """Return True if the engine has an operation, for these numbers."""
-        ...
 
     def run(self, operation: str, call: ctypes.Structure) -> None:
         """Run an operation, which fills in its outputs."""
-        ...
 
 
 NewPass = Callable[..., Pass]

@@ -32,18 +32,15 @@ class Recorder(Protocol):
     @property
     def launcher(self) -> Launcher:
         """Launcher of the device."""
-        ...
 
     def rehearse(self, program: Callable[[], T]) -> T:
         """Run a program on the stream of recordings, so that all caches are filled."""
-        ...
 
     def record(self, program: Callable[[], T]) -> tuple[T, Callable[[], None]]:
         """Record a program without running it.
 
         Return its tensors, and a function that replays it on the same memory, until another program is recorded.
         """
-        ...
 
 
 class CudaRecorder:
