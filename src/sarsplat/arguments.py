@@ -131,10 +131,12 @@ def _kinds(function: Callable[..., Any]) -> dict[str, tuple[Any, ...]]:
 
 
 def _alternatives(hint: Any) -> Iterator[Any]:
-    """Yield the members of a union, or the annotation itself; generic ones with their parameters."""
+    """Yield the members of a union, or the annotation itself; generic ones with their parameters, new types by name."""
     if typing.get_origin(hint) in (UnionType, typing.Union):
         for part in typing.get_args(hint):
             yield from _alternatives(part)
+    elif isinstance(hint, typing.NewType):
+        yield hint.__name__
     else:
         yield getattr(hint, "array_type", None if hint is NoneType else hint)  # jaxtyping's
 

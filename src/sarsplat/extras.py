@@ -1,4 +1,11 @@
-"""Installed packages: versions, and optional dependencies (extras)."""
+"""Installed packages: versions, and optional dependencies (extras) with the types that annotations need of them."""
+
+from typing import TYPE_CHECKING, NewType
+
+if TYPE_CHECKING:
+    from trimesh import Trimesh as Trimesh
+else:
+    Trimesh = NewType("Trimesh", object)  # arguments are checked by this name
 
 _DISTRIBUTIONS = {
     "PIL": "pillow",

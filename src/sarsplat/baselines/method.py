@@ -1,12 +1,10 @@
 """Base of the baseline methods: training by `BaselineTrainer`, and points where rays meet the learned surface."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,6 +15,7 @@ from sarsplat.baselines.baseline import Baseline, BaselineConfig, Scene
 from sarsplat.baselines.trainer import BaselineTrainer, saved_scene, scene_of
 from sarsplat.data import Dataset, read_masks, write_mesh
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.extras import Trimesh
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.geometry.view import check_unstretched
 from sarsplat.learning.method import Inputs, Method, Reconstruction
@@ -24,9 +23,6 @@ from sarsplat.learning.snapshot import Snapshot
 from sarsplat.runs.run_folder import MESH
 from sarsplat.scenes import load_mesh
 from sarsplat.scenes._rays import Facets, first_hits
-
-if TYPE_CHECKING:
-    import trimesh
 
 Points = Float32[np.ndarray, "p 3"]
 
@@ -82,7 +78,7 @@ class BaselineMethod(Method):
 
     def open(
         self, snapshot: Snapshot, config: BaselineConfig, device: str, folder: Path | None
-    ) -> BaselineReconstruction:
+    ) -> "BaselineReconstruction":
         return BaselineReconstruction(self, snapshot, config, device, folder)
 
     def loss_title(self, config: BaselineConfig) -> tuple[str, str]:
@@ -119,7 +115,7 @@ class BaselineReconstruction(Reconstruction):
         return images
 
     @cached_property
-    def surface(self) -> trimesh.Trimesh:
+    def surface(self) -> Trimesh:
         """Surface of the target, m, world frame, from `mesh.ply` or computed; it may have no faces."""
         import trimesh
 
@@ -128,7 +124,7 @@ class BaselineReconstruction(Reconstruction):
         vertices, faces = self.baseline.surface()
         return trimesh.Trimesh(vertices, faces, process=False)
 
-    def mesh(self, points: Points, normals: Points) -> trimesh.Trimesh:
+    def mesh(self, points: Points, normals: Points) -> Trimesh:
         """Surface including parts that no view saw."""
         return self.surface
 
@@ -157,7 +153,7 @@ class BaselineReconstruction(Reconstruction):
         return {"numbers learned": f"{sum(parameter.numel() for parameter in self.baseline.parameters()):,}"}
 
 
-def _first_hits(mesh: trimesh.Trimesh, views: Sequence[View], spacing_m: float) -> tuple[Points, Points]:
+def _first_hits(mesh: Trimesh, views: Sequence[View], spacing_m: float) -> tuple[Points, Points]:
     """First hits of parallel rays on a mesh, m, thinned to one per cube of the spacing, and their unit normals."""
     points, normals = np.empty((0, 3), np.float32), np.empty((0, 3), np.float32)
     for view in views if len(mesh.faces) else ():

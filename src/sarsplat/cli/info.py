@@ -1,11 +1,9 @@
 """`sarsplat info`: describe a file or folder."""
 
-from __future__ import annotations
-
 import math
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import tyro
 
@@ -15,9 +13,7 @@ from sarsplat.cli.importers import recognised
 from sarsplat.cli.info_dataset import describe_dataset
 from sarsplat.cli.info_run import describe_contents, describe_run, extent
 from sarsplat.errors import SarsplatError, counted
-
-if TYPE_CHECKING:
-    import trimesh
+from sarsplat.extras import Trimesh
 
 _MAX_SUNK = 0.02  # maximum depth below the ground, relative to a mesh's size: wheels may sink in
 _UNDERSTOOD = (
@@ -149,7 +145,7 @@ def _mesh(path: Path) -> tuple[str, dict[str, str]]:
     return "a mesh", rows
 
 
-def _place(mesh: trimesh.Trimesh) -> str | None:
+def _place(mesh: Trimesh) -> str | None:
     """Return a remark if a mesh is off the origin or below the ground."""
     low, high = mesh.bounds
     size = math.dist(low, high)

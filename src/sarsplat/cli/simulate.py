@@ -12,10 +12,9 @@ from sarsplat.cli import console
 from sarsplat.cli.arguments import corners, exclude, refuse_existing, require
 from sarsplat.cli.simulation_options import Options, Sensor, Split
 from sarsplat.errors import SarsplatError, counted
+from sarsplat.extras import Trimesh
 
 if TYPE_CHECKING:
-    import trimesh
-
     from sarsplat.data import Dataset, DatasetEntry
     from sarsplat.geometry import ImageGrid, Stack, Terrain, View
     from sarsplat.scenes import ScatteringLaw
@@ -28,7 +27,7 @@ class _Scene:
     """Surface in the frame of the images, with views, pixels and ground."""
 
     name: str
-    surface: trimesh.Trimesh
+    surface: Trimesh
     moved_m: tuple[float, float, float] | None
     """Vector that `--recentre` subtracted."""
     splits: list[Split]

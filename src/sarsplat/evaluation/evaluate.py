@@ -1,13 +1,11 @@
 """Score a run: all contents of `metrics.json`."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float, Float64
@@ -36,15 +34,13 @@ from sarsplat.evaluation.metrics import (
 from sarsplat.evaluation.points import MOST_TURNED_DEG, Cloud, PointMetrics, Yardstick, align, side_by_side
 from sarsplat.evaluation.surface import imaged_alone, of_stacks, read_truth_mesh, visible_surface
 from sarsplat.examination.plausible import warn, weakest_direction
+from sarsplat.extras import Trimesh
 from sarsplat.geometry import View
 from sarsplat.progress import Reporter, progress
 from sarsplat.runs import Run
 from sarsplat.runs.run_folder import left_open
 from sarsplat.scenes.placement import shown_in
 from sarsplat.scenes.surface_samples import blocks_of_samples
-
-if TYPE_CHECKING:
-    import trimesh
 
 _BATCH = 8  # views rendered at once
 _MESH_SAMPLES = 100_000
@@ -266,7 +262,7 @@ def _masks(
 def _surfaces(
     run: Run,
     dataset: Dataset,
-    true_mesh: trimesh.Trimesh | None,
+    true_mesh: Trimesh | None,
     scored: bool,
     aligned: bool,
     yardstick: Yardstick,

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float32, Float64
 from sarsplat.arguments import check_number, checks_arguments
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation.points import order_in_space
+from sarsplat.extras import Trimesh
 from sarsplat.geometry import View
 from sarsplat.geometry.view import ground_radius_m
 from sarsplat.scenes.meshes import read_mesh
@@ -23,7 +24,6 @@ from sarsplat.scenes.surface_samples import surface_samples
 from sarsplat.surface.points import imaged
 
 if TYPE_CHECKING:
-    import trimesh
     from embreex.rtcore_scene import EmbreeScene
 
     from sarsplat.data import Dataset
@@ -51,7 +51,7 @@ class VisibleSurface:
     """Area-weighted random points of every triangle."""
 
 
-def read_truth_mesh(path: Path) -> trimesh.Trimesh:
+def read_truth_mesh(path: Path) -> Trimesh:
     """Read the true mesh of a dataset, unchanged.
 
     Raises
@@ -68,7 +68,7 @@ def read_truth_mesh(path: Path) -> trimesh.Trimesh:
     return mesh
 
 
-def of_stacks(mesh: trimesh.Trimesh, dataset: Dataset) -> trimesh.Trimesh:
+def of_stacks(mesh: Trimesh, dataset: Dataset) -> Trimesh:
     """Add level ground to the mesh if images show any: stacks are scored on ground, too."""
     import trimesh
 
@@ -89,7 +89,7 @@ def imaged_alone(surface: VisibleSurface, dataset: Dataset) -> VisibleSurface:
 
 @checks_arguments
 def visible_surface(
-    mesh: trimesh.Trimesh,
+    mesh: Trimesh,
     views: Sequence[View],
     ray_spacing: float,
     *,
@@ -156,7 +156,7 @@ def visible_surface(
     return VisibleSurface(triangles[visible], triangles, np.concatenate(seen), whole.astype(np.float32))
 
 
-def _scene(mesh: trimesh.Trimesh) -> EmbreeScene:
+def _scene(mesh: Trimesh) -> EmbreeScene:
     from embreex.mesh_construction import TriangleMesh
     from embreex.rtcore_scene import EmbreeScene
 
@@ -170,7 +170,7 @@ def _towards(direction: Float64[np.ndarray, " 3"]) -> Float32[np.ndarray, "1 3"]
     return direction.astype(np.float32)[None]
 
 
-def _first_hits(scene: EmbreeScene, mesh: trimesh.Trimesh, view: View, spacing: float) -> Bool[np.ndarray, " t"]:
+def _first_hits(scene: EmbreeScene, mesh: Trimesh, view: View, spacing: float) -> Bool[np.ndarray, " t"]:
     """Mask of the triangles that rays of a view hit first."""
     hit = np.zeros(len(mesh.faces), dtype=bool)
     for origins in _lattice(np.asarray(mesh.vertices), view, spacing):

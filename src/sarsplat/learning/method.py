@@ -14,13 +14,13 @@ from jaxtyping import Complex64, Complex128, Float32, Float64, UInt8
 from sarsplat.data import Dataset, DatasetEntry
 from sarsplat.data.header import Box
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.extras import Trimesh
 from sarsplat.geometry import ImageGrid, Stack, View
 from sarsplat.names import Speckle
 from sarsplat.settings.config import AnyConfig
 
 if TYPE_CHECKING:
     import torch
-    import trimesh
 
     from sarsplat.gaussians import Gaussians
     from sarsplat.learning.losses import Loss
@@ -191,7 +191,7 @@ class Reconstruction(ABC):
         """Masks of any views, given the points of the target: 0 clutter, 1 target, 2 shadow."""
 
     @abstractmethod
-    def mesh(self, points: Float32[np.ndarray, "p 3"], normals: Float32[np.ndarray, "p 3"]) -> trimesh.Trimesh:
+    def mesh(self, points: Float32[np.ndarray, "p 3"], normals: Float32[np.ndarray, "p 3"]) -> Trimesh:
         """Surface as triangles, world frame, m, from its points and normals; it may have no faces."""
 
     @abstractmethod

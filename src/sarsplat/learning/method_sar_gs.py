@@ -1,14 +1,11 @@
 """The method `sar-gs`: a target of 3D Gaussians, its renderings, points, normals and masks."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -17,6 +14,7 @@ from jaxtyping import Complex64, Complex128, Float32, Float64, UInt8
 from sarsplat.data import Dataset, DatasetEntry, write_gaussians_ply
 from sarsplat.data.header import Box
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
+from sarsplat.extras import Trimesh
 from sarsplat.gaussians import Gaussians, Polarimetric
 from sarsplat.gaussians.law_polarimetric import covariances_between
 from sarsplat.geometry import ImageGrid, RayGrid, Stack, View
@@ -45,9 +43,6 @@ from sarsplat.surface.neighbours import spacing_m
 from sarsplat.surface.normals import surface_normals
 from sarsplat.surface.points import extract_points
 from sarsplat.surface.visibility import Seen
-
-if TYPE_CHECKING:
-    import trimesh
 
 _EVALUATION_RAYS_PER_PIXEL = 4.0
 _NORMAL_REACH = 3.0  # radius of the points that determine a normal, resolution cells
@@ -100,7 +95,7 @@ class SarGs(Method):
             observation.refuse(config, dataset, inputs)
         return Trainer(dataset, config, inputs.loss, device, inputs.strategies)
 
-    def open(self, snapshot: Snapshot, config: Config, device: str, folder: Path | None) -> GaussianReconstruction:
+    def open(self, snapshot: Snapshot, config: Config, device: str, folder: Path | None) -> "GaussianReconstruction":
         return GaussianReconstruction(snapshot, config, device)
 
     def loss_title(self, config: Config) -> tuple[str, str]:
@@ -135,7 +130,7 @@ class GaussianReconstruction(Reconstruction):
     def _degree(self) -> int:
         return self.model.degree(self.snapshot.iteration)
 
-    def mesh(self, points: Float32[np.ndarray, "p 3"], normals: Float32[np.ndarray, "p 3"]) -> trimesh.Trimesh:
+    def mesh(self, points: Float32[np.ndarray, "p 3"], normals: Float32[np.ndarray, "p 3"]) -> Trimesh:
         """The surface through the points, with γ⁰ of its vertices (`surface_mesh`); open where no view looked."""
         return surface_mesh(points, normals, self._seen, self.grid.cell_m)
 

@@ -1,9 +1,6 @@
 """Surface of a target as opaque Gaussians with normals, for radar maps."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -12,13 +9,11 @@ from scipy.spatial import cKDTree
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
+from sarsplat.extras import Trimesh
 from sarsplat.gaussians import Gaussians
 from sarsplat.runs import Run
 from sarsplat.scenes.splat_truth import surface_gaussians
 from sarsplat.surface.masks import without_imitated_ground
-
-if TYPE_CHECKING:
-    import trimesh
 
 _PIECE = 0.5  # edge of the pieces of a mesh, resolution cells
 
@@ -74,7 +69,7 @@ def surface_of_run(run: Run) -> Surface:
 
 
 @checks_arguments
-def surface_of_mesh(mesh: trimesh.Trimesh, cell_m: float) -> Surface:
+def surface_of_mesh(mesh: Trimesh, cell_m: float) -> Surface:
     """Surface of triangles, m, in pieces of half a resolution cell of `cell_m`.
 
     Raises

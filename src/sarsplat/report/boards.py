@@ -1,10 +1,7 @@
 """Reconstructed points and meshes from three sides, beside the true surface where it is known."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Int64
@@ -12,12 +9,10 @@ from scipy.spatial import cKDTree
 
 from sarsplat.colours import ERROR, HEIGHT, POWER, hollow
 from sarsplat.errors import counted
+from sarsplat.extras import Trimesh
 from sarsplat.report.figure import Block, ColourBar, Panel, axis, colour_bar, scale_bar
 from sarsplat.report.images import address, indexed
 from sarsplat.scenes.surface_samples import blocks_of_samples
-
-if TYPE_CHECKING:
-    import trimesh
 
 Corner = Float[np.ndarray, " 3"]
 Points = Float[np.ndarray, "p 3"]
@@ -108,7 +103,7 @@ def _limits(points: Points) -> tuple[Corner, Corner]:
     return low - margin, high + margin
 
 
-def mesh_boards(reconstructed: trimesh.Trimesh, truth: trimesh.Trimesh | None) -> tuple[Block, ...]:
+def mesh_boards(reconstructed: Trimesh, truth: Trimesh | None) -> tuple[Block, ...]:
     """Shaded meshes (m) from the side, the front and the top, the true surface before the reconstructed one."""
     meshes = {f"reconstruction, {len(reconstructed.faces):,} triangles": reconstructed}
     if truth is not None:
@@ -120,7 +115,7 @@ def mesh_boards(reconstructed: trimesh.Trimesh, truth: trimesh.Trimesh | None) -
     return tuple(_board(raster, name, mesh) for name, mesh in meshes.items())
 
 
-def _board(raster: Raster, title: str, mesh: trimesh.Trimesh) -> Block:
+def _board(raster: "Raster", title: str, mesh: Trimesh) -> Block:
     count = min(int(_SAMPLES_PER_PIXEL * mesh.area / raster.pixel_m**2) + 1, _MOST_SAMPLES)
     sights, face_of = [Sight(raster, side) for side in SIDES], np.empty(count, np.int64)
     for first, places, faces in blocks_of_samples(mesh, count, np.random.default_rng(0)):
@@ -155,7 +150,7 @@ class Raster:
     pixel_m: float
 
     @classmethod
-    def around(cls, low: Corner, high: Corner, pixels: int) -> Raster:
+    def around(cls, low: Corner, high: Corner, pixels: int) -> "Raster":
         """Divide the box into `pixels` along its longest side."""
         return cls(low, high, float((high - low).max()) / pixels)
 

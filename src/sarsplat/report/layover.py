@@ -15,14 +15,13 @@ from sarsplat.errors import counted
 from sarsplat.evaluation import read_truth_mesh
 from sarsplat.evaluation.capon import capon_points
 from sarsplat.evaluation.surface import of_stacks
+from sarsplat.extras import Trimesh
 from sarsplat.geometry import ImageGrid, Stack, View
 from sarsplat.report.figure import Block, Figure, Panel, axis, chart, polyline, written
 from sarsplat.report.images import view_name
 from sarsplat.runs import Run
 
 if TYPE_CHECKING:
-    import trimesh
-
     from sarsplat.data import Dataset
 
 Points = Float[np.ndarray, "p 3"]
@@ -48,7 +47,7 @@ class Slice:
         """Mask of the points in the slice."""
         return np.abs(points @ self.view.look.gradients[0] - self.azimuth_m) <= self.thickness_m / 2
 
-    def through(self, mesh: trimesh.Trimesh) -> Lines:
+    def through(self, mesh: Trimesh) -> Lines:
         """Line segments where the slice's middle plane cuts a mesh, m."""
         from trimesh.intersections import mesh_plane
 

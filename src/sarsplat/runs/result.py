@@ -1,11 +1,9 @@
 """Results of a training, computed from its checkpoint alone: images, points, normals, mesh."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import Complex64, Complex128, Float32, Float64, Real, UInt8
@@ -13,6 +11,7 @@ from jaxtyping import Complex64, Complex128, Float32, Float64, Real, UInt8
 from sarsplat.arguments import checks_arguments
 from sarsplat.data.header import Box
 from sarsplat.errors import SarsplatError, counted, shown
+from sarsplat.extras import Trimesh
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, Stack, View
 from sarsplat.learning.method import Reconstruction
@@ -22,9 +21,6 @@ from sarsplat.names import Speckle
 from sarsplat.runs.methods import METHODS
 from sarsplat.runs.run_folder import InMemory, RunFolder
 from sarsplat.settings.config import OWN_LOOP, SCATTERERS
-
-if TYPE_CHECKING:
-    import trimesh
 
 _NORMAL = ("nx", "ny", "nz")  # columns of normals in `points.ply`
 
@@ -218,7 +214,7 @@ class Result(ABC):
         """Return masks of any views on the run's grid: 0 clutter, 1 target, 2 shadow."""
         return self.reconstruction.masks(views, self.points)
 
-    def mesh(self) -> trimesh.Trimesh:
+    def mesh(self) -> Trimesh:
         """Return the surface as triangles, world frame, m; perhaps without faces. It is cached: copy before changes.
 
         Raises a SarsplatError if a package is missing, or the surface would take too many triangles.
@@ -226,7 +222,7 @@ class Result(ABC):
         return self._mesh
 
     @cached_property
-    def _mesh(self) -> trimesh.Trimesh:
+    def _mesh(self) -> Trimesh:
         """Mesh shared by scores, report and exports: in a large scene it takes minutes."""
         return self.reconstruction.mesh(self.points, self.normals)
 

@@ -1,17 +1,13 @@
 """Flat patches of a mesh: away from their outlines, one ray represents many."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-if TYPE_CHECKING:
-    import trimesh
+from sarsplat.extras import Trimesh
 
 _ROUNDINGS = 32  # tolerance of a flat patch, in roundings of float32, in which meshes are stored and rays are traced
 _STEPS_AT_ONCE = 1 << 20
@@ -31,7 +27,7 @@ class Patches:
     inner: Int64[np.ndarray, "i 4"]  # vertices of an edge within a patch, and those opposite to it on both sides
 
     @classmethod
-    def of(cls, mesh: trimesh.Trimesh, reflectivity: Float64[np.ndarray, " f"]) -> Patches:
+    def of(cls, mesh: Trimesh, reflectivity: Float64[np.ndarray, " f"]) -> "Patches":
         vertices = np.asarray(mesh.vertices, dtype=np.float64)
         first, same = np.unique(vertices, axis=0, return_index=True, return_inverse=True)[1:]
         corners = first[same.reshape(-1)][np.asarray(mesh.faces)]  # merges coincident vertices

@@ -11,12 +11,11 @@ import numpy as np
 from jaxtyping import Float64, Int32, Int64
 
 from sarsplat.errors import SarsplatError
-from sarsplat.extras import install_command
+from sarsplat.extras import Trimesh, install_command
 from sarsplat.geometry import View
 from sarsplat.scenes._patches import Patches, entered_cells
 
 if TYPE_CHECKING:
-    import trimesh
     from embreex.rtcore_scene import EmbreeScene
 
 # The ray lattice is rotated by tan⁻¹((√5 − 1)/2), so that its lines are not parallel to an edge of a vehicle at a round
@@ -71,7 +70,7 @@ class Facets:
     cos_incidence: Float64[np.ndarray, " f"]
 
     @classmethod
-    def of(cls, mesh: trimesh.Trimesh, view: View) -> Facets:
+    def of(cls, mesh: Trimesh, view: View) -> Facets:
         vertices = np.asarray(mesh.vertices, dtype=np.float64) @ view.look.frame.T
         faces = np.asarray(mesh.faces, dtype=np.int32)
         a, b, c = (vertices[faces[:, k]] for k in range(3))

@@ -9,24 +9,19 @@ Rays find a point of the surface directly from the radar or as the second point 
 probability of both together (multiple importance sampling), so that no sample weighs more than its patch.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int32
 
+from sarsplat.extras import Trimesh
 from sarsplat.geometry import View
 from sarsplat.scenes._deposit import Deposit, NodeGrid
 from sarsplat.scenes._patches import Patches
 from sarsplat.scenes._rays import Facets, Region, Trace, embree_scene, sparse_hits
 from sarsplat.scenes.scattering import ScatteringLaw
-
-if TYPE_CHECKING:
-    import trimesh
 
 Points = Float64[np.ndarray, "k 3"]
 
@@ -50,7 +45,7 @@ class _Points:
     face: Int32[np.ndarray, " k"]
     area: Float64[np.ndarray, " k"]  # across that direction, m²
 
-    def __getitem__(self, which: np.ndarray) -> _Points:
+    def __getitem__(self, which: np.ndarray) -> "_Points":
         return _Points(self.position[which], self.normal[which], self.face[which], self.area[which])
 
 
@@ -64,7 +59,7 @@ class SecondBounce:
 
     def __init__(
         self,
-        mesh: trimesh.Trimesh,
+        mesh: Trimesh,
         law: ScatteringLaw,
         factors: Float64[np.ndarray, " f"],
         patches: Patches,
@@ -209,7 +204,7 @@ class SecondBounce:
 class _Legs:
     """Rays from points of a mesh: occlusion tests and first hits; needs embreex."""
 
-    def __init__(self, mesh: trimesh.Trimesh) -> None:
+    def __init__(self, mesh: Trimesh) -> None:
         vertices = np.asarray(mesh.vertices, dtype=np.float64)
         self.lift = _LIFT * float(np.linalg.norm(np.ptp(vertices, axis=0)))
         self._scene, self._center = embree_scene(vertices, np.asarray(mesh.faces, dtype=np.int32))

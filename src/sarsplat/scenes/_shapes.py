@@ -3,55 +3,52 @@
 Pairs of coordinates are in either order, so that (side * a, side * b) serves both sides of a vehicle.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 from jaxtyping import Int
 
-if TYPE_CHECKING:
-    import trimesh
+from sarsplat.extras import Trimesh
 
 Pair = tuple[float, float]
 Point = tuple[float, float, float]
 
 
-def assembled(parts: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
+def assembled(parts: Sequence[Trimesh]) -> Trimesh:
     """One mesh of many bodies."""
     import trimesh
 
-    return cast("trimesh.Trimesh", trimesh.util.concatenate(parts))
+    return cast(Trimesh, trimesh.util.concatenate(parts))
 
 
-def box(x: Pair, y: Pair, z: Pair) -> trimesh.Trimesh:
+def box(x: Pair, y: Pair, z: Pair) -> Trimesh:
     """Box between pairs of coordinates."""
     import trimesh
 
     return trimesh.creation.box(bounds=np.sort(np.array([x, y, z], dtype=float)).T)
 
 
-def hull(points: Sequence[Point]) -> trimesh.Trimesh:
+def hull(points: Sequence[Point]) -> Trimesh:
     """Convex hull of points."""
     import trimesh
 
     return trimesh.convex.convex_hull(np.array(points, dtype=float))
 
 
-def prism(profile: Sequence[Pair], y: Pair) -> trimesh.Trimesh:
+def prism(profile: Sequence[Pair], y: Pair) -> Trimesh:
     """Convex side profile of (x, z) points, extruded along y."""
     return hull([(px, side, pz) for px, pz in profile for side in sorted(y)])
 
 
-def mirrored(*points: Point) -> trimesh.Trimesh:
+def mirrored(*points: Point) -> Trimesh:
     """Convex hull of points and their mirror images on the other side of the vehicle."""
     return hull([*points, *((x, -y, z) for x, y, z in points)])
 
 
-def strip(path: Sequence[Pair], thickness: float, y: Pair) -> list[trimesh.Trimesh]:
+def strip(path: Sequence[Pair], thickness: float, y: Pair) -> list[Trimesh]:
     """Plates along a path of (x, z) points, such as a mudguard: one per segment, of a thickness measured in z."""
     return [
         prism([(xa, za), (xa, za + thickness), (xb, zb), (xb, zb + thickness)], y)
@@ -59,21 +56,21 @@ def strip(path: Sequence[Pair], thickness: float, y: Pair) -> list[trimesh.Trime
     ]
 
 
-def cylinder(radius: float, start: Point, end: Point, sections: int = 24) -> trimesh.Trimesh:
+def cylinder(radius: float, start: Point, end: Point, sections: int = 24) -> Trimesh:
     """Circular cylinder around the axis from `start` to `end`."""
     import trimesh
 
     return trimesh.creation.cylinder(radius=radius, segment=np.array([start, end], dtype=float), sections=sections)
 
 
-def revolved(profile: Sequence[Pair], sections: int = 32) -> trimesh.Trimesh:
+def revolved(profile: Sequence[Pair], sections: int = 32) -> Trimesh:
     """Body of revolution around z: (radius, height) points from axis to axis, counter-clockwise (bottom first)."""
     import trimesh
 
     return trimesh.creation.revolve(np.array(profile, dtype=float), sections=sections)
 
 
-def barrel(profile: Sequence[Pair], root: Point, elevation_deg: float, sections: int = 20) -> trimesh.Trimesh:
+def barrel(profile: Sequence[Pair], root: Point, elevation_deg: float, sections: int = 20) -> Trimesh:
     """Gun barrel from `root` forwards and upwards: (radius, distance from the root) points from axis to axis."""
     import trimesh
 
@@ -84,7 +81,7 @@ def barrel(profile: Sequence[Pair], root: Point, elevation_deg: float, sections:
     return body
 
 
-def wheel(x: float, y: Pair, radius: float, rim: float = 0.55, z: float | None = None) -> trimesh.Trimesh:
+def wheel(x: float, y: Pair, radius: float, rim: float = 0.55, z: float | None = None) -> Trimesh:
     """Tyred wheel between two values of y: round shoulders, sunk disc of the share `rim` of the radius, standing hub.
 
     It stands on the ground unless the height of its axle is given.
@@ -99,9 +96,7 @@ def wheel(x: float, y: Pair, radius: float, rim: float = 0.55, z: float | None =
     return body
 
 
-def belt(
-    wheels: Sequence[tuple[float, float, float]], thickness: float, y: Pair, sections: int = 96
-) -> trimesh.Trimesh:
+def belt(wheels: Sequence[tuple[float, float, float]], thickness: float, y: Pair, sections: int = 96) -> Trimesh:
     """Closed belt with edges at y, stretched around wheels (x, z, radius) that touch its inner side, such as a track.
 
     `sections` is the number of normal directions sampled around it; a multiple of four includes straight down.

@@ -1,19 +1,14 @@
 """A satellite and an aircraft for inverse SAR, of simple closed bodies that may intersect, around the origin."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sarsplat.extras import Trimesh
 from sarsplat.scenes._shapes import Point, assembled, box, cylinder, hull, mirrored, revolved
 
-if TYPE_CHECKING:
-    import trimesh
 
-
-def satellite() -> trimesh.Trimesh:
+def satellite() -> Trimesh:
     """A satellite of a bus of 1.8 m × 1.8 m × 2.6 m, two wings of solar panels, 12.6 m across (y), and a dish (+x)."""
     bus = box((-0.9, 0.9), (-0.9, 0.9), (-1.3, 1.3))
     thruster = revolved([(0.0, -1.75), (0.34, -1.75), (0.16, -1.25), (0.0, -1.25)])
@@ -23,7 +18,7 @@ def satellite() -> trimesh.Trimesh:
     return assembled([bus, thruster, boom, tip, *wings, *_dish()])
 
 
-def _wing(side: int) -> list[trimesh.Trimesh]:
+def _wing(side: int) -> list[Trimesh]:
     """Three panels on a yoke, tilted towards the sun."""
     bodies = [cylinder(0.06, (0.0, side * 0.8, 0.2), (0.0, side * 1.7, 0.2), sections=12)]
     slope = math.tan(math.radians(20.0))
@@ -36,7 +31,7 @@ def _wing(side: int) -> list[trimesh.Trimesh]:
     return bodies
 
 
-def _dish() -> list[trimesh.Trimesh]:
+def _dish() -> list[Trimesh]:
     """A paraboloid of 1.5 m on a strut, with its feed."""
     radii = np.linspace(0.0, 0.75, 7)
     back = [(float(r), float(0.55 * r**2)) for r in radii]
@@ -50,7 +45,7 @@ def _dish() -> list[trimesh.Trimesh]:
     return [bowl, strut, feed, *legs]
 
 
-def aircraft() -> trimesh.Trimesh:
+def aircraft() -> Trimesh:
     """A twin-engined aircraft, 15.2 m long (+x nose), 14 m across and 5 m high."""
     profile = [(0.0, -7.6), (0.25, -7.4), (0.75, -4.0), (0.95, -1.0), (0.95, 4.0), (0.7, 6.4), (0.25, 7.5), (0.0, 7.6)]
     fuselage = revolved(profile)
@@ -70,7 +65,7 @@ def aircraft() -> trimesh.Trimesh:
 
 def _plane(
     root: Point, half_span: float, chords: tuple[float, float], sweep: float, rise: float, thickness: float
-) -> trimesh.Trimesh:
+) -> Trimesh:
     """Both halves of a wing from the leading edge of its root; `sweep` and `rise` move the tips back and up, m."""
     x, _, z = root
     halves = []

@@ -5,23 +5,18 @@ azimuth 0, square to that wall. A point at height z and horizontal distance x be
 g = x − z·tanθ; where several surfaces share a ground range (layover), their β⁰ add up.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Float64, Real
 from scipy.special import ndtr
 
 from sarsplat.arguments import checks_arguments
+from sarsplat.extras import Trimesh
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.geometry.responses import variance_of
-
-if TYPE_CHECKING:
-    import trimesh
 
 _CLEAR = 2.0  # distance from edges at which levels are measured, 3 dB widths: the response has settled to 10⁻⁶ there
 
@@ -56,7 +51,7 @@ class Building:
     depth: float
     length: float = 16.0
 
-    def mesh(self) -> trimesh.Trimesh:
+    def mesh(self) -> Trimesh:
         """Make four walls, then the roof, two triangles each, without a floor."""
         import trimesh
 

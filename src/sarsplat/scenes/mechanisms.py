@@ -1,20 +1,15 @@
 """Polarimetric scattering mechanisms of facets: one bounce, two bounces, or a volume of thin dipoles."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Complex128, Int64
 
 from sarsplat.arguments import expect
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.extras import Trimesh
 from sarsplat.geometry.stack import POLARISATIONS as KNOWN_POLARISATIONS
-
-if TYPE_CHECKING:
-    import trimesh
 
 POLARISATIONS = ("HH", "HV", "VV")
 
@@ -93,7 +88,7 @@ class Mechanisms:
                 raise SarsplatError(f"a matrix is {shown(matrix.tolist())}; give Hermitian, semi-definite ones")
 
     @classmethod
-    def by_slope(cls, mesh: trimesh.Trimesh) -> Mechanisms:
+    def by_slope(cls, mesh: Trimesh) -> "Mechanisms":
         """Assign one bounce to level facets and the ground, two bounces to upright facets, volumes to all others.
 
         This is not the physics of a target, as rays meet one facet only, but makes scenes for polarimetry.

@@ -4,8 +4,6 @@ trimesh reads many formats, follows names in a file to other files, unpacks arch
 header demands. Here it reads the bytes of one regular file in one of five formats, and nothing else.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import logging
@@ -13,19 +11,16 @@ import os
 import re
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from sarsplat.arguments import check_number, checks_arguments
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
+from sarsplat.extras import Trimesh
 from sarsplat.geometry import ImageGrid
 from sarsplat.scenes._polygons import polygon_mesh
-
-if TYPE_CHECKING:
-    import trimesh
-
 
 _LARGEST_TARGET, _SMALLEST_TARGET = 1.0, 2.0
 """Plausible sizes of a target, in image sides and in resolution widths: vehicles in other units are outside."""
@@ -52,7 +47,7 @@ logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # sarsplat's errors des
 
 
 @checks_arguments
-def load_mesh(path: str | os.PathLike[str]) -> trimesh.Trimesh:
+def load_mesh(path: str | os.PathLike[str]) -> Trimesh:
     """Read a triangle mesh from an .obj, .stl, .ply, .off or .glb file; a scene's parts become one mesh.
 
     Open, intersecting and inconsistently oriented surfaces are accepted unchanged. Degenerate faces and faces with a
@@ -97,18 +92,18 @@ def load_mesh(path: str | os.PathLike[str]) -> trimesh.Trimesh:
     return mesh
 
 
-def scaled(mesh: trimesh.Trimesh, factor: float) -> trimesh.Trimesh:
+def scaled(mesh: Trimesh, factor: float) -> Trimesh:
     """Multiply every coordinate of a mesh by a positive, finite factor."""
     check_number("`scale`", factor, 0, above=True)
     return mesh.copy().apply_scale(factor)
 
 
-def is_larger(mesh: trimesh.Trimesh, grid: ImageGrid) -> bool:
+def is_larger(mesh: Trimesh, grid: ImageGrid) -> bool:
     """Return True if a mesh is longer than the shorter side of its images."""
     return float(mesh.extents.max()) > _LARGEST_TARGET * side_m(grid)
 
 
-def suspicious_size(mesh: trimesh.Trimesh, grid: ImageGrid) -> list[str]:
+def suspicious_size(mesh: Trimesh, grid: ImageGrid) -> list[str]:
     """Return a warning if a mesh is larger than its images or hardly larger than a resolution cell."""
     extent = float(mesh.extents.max())
     cell = max(grid.resolution_m)
@@ -140,7 +135,7 @@ def _first_of_equals(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, 
     return np.isin(np.arange(len(faces)), first)
 
 
-def read_mesh(path: Path) -> trimesh.Trimesh:
+def read_mesh(path: Path) -> Trimesh:
     """Read all triangles of a self-contained .obj, .stl, .ply, .off or .glb file; parts of a scene become one mesh.
 
     Polygons, also concave ones, become triangles that do not depend on where their outline begins. Materials and
@@ -198,7 +193,7 @@ def read_mesh(path: Path) -> trimesh.Trimesh:
     return mesh
 
 
-def _read_with_trimesh(path: Path, kind: str, data: bytes) -> trimesh.Trimesh:
+def _read_with_trimesh(path: Path, kind: str, data: bytes) -> Trimesh:
     import trimesh
 
     try:

@@ -1,20 +1,15 @@
 """Placement of a mesh: within its images, which are centred on the origin, and on the ground."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float64
 
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
+from sarsplat.extras import Trimesh
 from sarsplat.geometry import ImageGrid, Terrain, View
 from sarsplat.scenes.meshes import is_larger
-
-if TYPE_CHECKING:
-    import trimesh
 
 _SUNK_CELLS = 0.5  # depth below the ground without a warning, resolution cells: wheels and tracks may sink in
 _LITTLE = 0.01  # share of the surface below level ground without a warning
@@ -24,7 +19,7 @@ _LEANS = 0.02  # tolerance of y up, relative to the size: the mesh stands on y =
 _ROUNDED = 0.1  # rounding of float32 without a warning, resolution cells
 
 
-def recentred(mesh: trimesh.Trimesh, *, aloft: bool = False) -> tuple[trimesh.Trimesh, tuple[float, float, float]]:
+def recentred(mesh: Trimesh, *, aloft: bool = False) -> tuple[Trimesh, tuple[float, float, float]]:
     """Move a mesh: its middle above the origin, its lowest point to z = 0; aloft, its middle to the origin.
 
     Return also the vector that was subtracted, m.
@@ -35,7 +30,7 @@ def recentred(mesh: trimesh.Trimesh, *, aloft: bool = False) -> tuple[trimesh.Tr
     return mesh.copy().apply_translation([-value for value in moved]), moved
 
 
-def shown_in(mesh: trimesh.Trimesh, views: Sequence[View], grid: ImageGrid) -> list[bool]:
+def shown_in(mesh: Trimesh, views: Sequence[View], grid: ImageGrid) -> list[bool]:
     """Return, for each image, True if the bounding box of a mesh reaches into it."""
     left, right, far, near = grid.extent_m
     corners = np.stack(np.meshgrid(*mesh.bounds.T), axis=-1).reshape(-1, 3)
@@ -47,7 +42,7 @@ def shown_in(mesh: trimesh.Trimesh, views: Sequence[View], grid: ImageGrid) -> l
     return shown
 
 
-def outside_images(mesh: trimesh.Trimesh, views: Sequence[View], grid: ImageGrid) -> list[str]:
+def outside_images(mesh: Trimesh, views: Sequence[View], grid: ImageGrid) -> list[str]:
     """Return a warning if a mesh is outside of some images, or partly outside of one; raise if outside of all."""
     shown = shown_in(mesh, views, grid)
     if all(shown):
@@ -64,7 +59,7 @@ def outside_images(mesh: trimesh.Trimesh, views: Sequence[View], grid: ImageGrid
     ]
 
 
-def _cut_off(mesh: trimesh.Trimesh, views: Sequence[View], grid: ImageGrid) -> list[str]:
+def _cut_off(mesh: Trimesh, views: Sequence[View], grid: ImageGrid) -> list[str]:
     """Return a warning if a good part of a mesh that would fit is outside of an image."""
     left, right, far, near = grid.extent_m
     points = np.concatenate([np.asarray(mesh.triangles), np.asarray(mesh.triangles_center)[:, None]], axis=1)
@@ -82,7 +77,7 @@ def _cut_off(mesh: trimesh.Trimesh, views: Sequence[View], grid: ImageGrid) -> l
     ]
 
 
-def lost_digits(mesh: trimesh.Trimesh, grid: ImageGrid) -> list[str]:
+def lost_digits(mesh: Trimesh, grid: ImageGrid) -> list[str]:
     """Return a warning if the coordinates of a mesh are float32 and coarse, because it is far from the origin."""
     vertices = np.asarray(mesh.vertices)
     step = float(np.spacing(np.float32(np.abs(vertices).max())))
@@ -94,9 +89,7 @@ def lost_digits(mesh: trimesh.Trimesh, grid: ImageGrid) -> list[str]:
     ]
 
 
-def warn_below_ground(
-    mesh: trimesh.Trimesh, grid: ImageGrid, ground_gamma0: float | None, terrain: Terrain | None
-) -> None:
+def warn_below_ground(mesh: Trimesh, grid: ImageGrid, ground_gamma0: float | None, terrain: Terrain | None) -> None:
     """Warn if a good part of a mesh is hidden below the ground."""
     if ground_gamma0 is None or not len(mesh.faces):
         return

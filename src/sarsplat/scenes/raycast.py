@@ -5,17 +5,16 @@ and sparse within them; each deposits the cross-section γ⁰(i)·δx·δy of it
 which is convolved with the power response. Direct scattering, and optionally second bounces; no phase.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Float64, Int32, Real, UInt8
 
 from sarsplat.arguments import check_number, checks_arguments
 from sarsplat.errors import SarsplatError
+from sarsplat.extras import Trimesh
 from sarsplat.geometry import CLUTTER, SHADOW, TARGET, ImageGrid, Look, Terrain, View
 from sarsplat.geometry.view import check_unstretched
 from sarsplat.radiometry import to_db
@@ -26,9 +25,6 @@ from sarsplat.scenes._rays import Facets, Region, Trace, first_hits, sparse_hits
 from sarsplat.scenes._second_bounce import SecondBounce
 from sarsplat.scenes.placement import warn_below_ground
 from sarsplat.scenes.scattering import ScatteringLaw, check_ground, check_reflectivity, raise_first
-
-if TYPE_CHECKING:
-    import trimesh
 
 _OFFSETS = (0.5, 0.5), (0.0, 0.0)  # ray offsets whose images are compared for the error of the rays
 _FAINTEST = 1e-3  # minimum power of pixels for the error of the rays, relative to the brightest
@@ -43,7 +39,7 @@ _DIRECT = 0.1  # share of the direct image in the time of an image with second b
 
 @checks_arguments
 def simulate_raycast(
-    mesh: trimesh.Trimesh,
+    mesh: Trimesh,
     view: View,
     grid: ImageGrid,
     law: ScatteringLaw,
@@ -113,7 +109,7 @@ class RayCaster:
 
     def __init__(
         self,
-        mesh: trimesh.Trimesh,
+        mesh: Trimesh,
         grid: ImageGrid,
         law: ScatteringLaw,
         *,
@@ -231,7 +227,7 @@ def _above_ground(facets: Facets, trace: Trace, look: Look) -> Trace:
 
 
 def ray_error_db(
-    mesh: trimesh.Trimesh,
+    mesh: Trimesh,
     view: View,
     grid: ImageGrid,
     law: ScatteringLaw,
@@ -250,7 +246,7 @@ def ray_error_db(
     return math.sqrt(float((difference**2).mean()) / 2)
 
 
-def default_ray_spacing(mesh: trimesh.Trimesh, grid: ImageGrid) -> float:
+def default_ray_spacing(mesh: Trimesh, grid: ImageGrid) -> float:
     """Return the spacing of rays near edges, m.
 
     It is a fifteenth of the finer resolution: two offsets of the lattice then agree to 65 dB on a vehicle. It is at
@@ -261,9 +257,7 @@ def default_ray_spacing(mesh: trimesh.Trimesh, grid: ImageGrid) -> float:
     return min(finest, extent / _RAYS_PER_MESH) if 0 < extent < math.inf else finest
 
 
-def check_rays(
-    mesh: trimesh.Trimesh, ground_gamma0: float | None, ray_spacing: float, ray_offset: tuple[float, float]
-) -> None:
+def check_rays(mesh: Trimesh, ground_gamma0: float | None, ray_spacing: float, ray_offset: tuple[float, float]) -> None:
     """Raise if a mesh, a ground or rays are invalid."""
     raise_first(
         (len(mesh.faces) == 0, "the mesh has 0 faces; give a mesh with triangles"),
@@ -277,7 +271,7 @@ def check_rays(
     check_ground(ground_gamma0)
 
 
-def on_terrain(mesh: trimesh.Trimesh, terrain: Terrain, grid: ImageGrid) -> trimesh.Trimesh:
+def on_terrain(mesh: Trimesh, terrain: Terrain, grid: ImageGrid) -> Trimesh:
     """Append two faces for each square of the terrain to a mesh; the terrain continues level beyond its edges."""
     import trimesh
 
@@ -293,7 +287,7 @@ def on_terrain(mesh: trimesh.Trimesh, terrain: Terrain, grid: ImageGrid) -> trim
 
 
 def raycast_masks(
-    mesh: trimesh.Trimesh, views: Sequence[View], grid: ImageGrid, *, progress: Callable[[int], object] | None = None
+    mesh: Trimesh, views: Sequence[View], grid: ImageGrid, *, progress: Callable[[int], object] | None = None
 ) -> UInt8[np.ndarray, "v {grid.rows} {grid.columns}"]:
     """Make `raycast_mask` of a mesh from every view; `progress` gets the number of finished ones after each."""
     masks = np.empty((len(views), grid.rows, grid.columns), np.uint8)
@@ -304,7 +298,7 @@ def raycast_masks(
     return masks
 
 
-def raycast_mask(mesh: trimesh.Trimesh, view: View, grid: ImageGrid) -> UInt8[np.ndarray, "{grid.rows} {grid.columns}"]:
+def raycast_mask(mesh: Trimesh, view: View, grid: ImageGrid) -> UInt8[np.ndarray, "{grid.rows} {grid.columns}"]:
     """Make the mask of a mesh on flat ground at z = 0: 0 clutter, 1 target (lit), 2 shadow; row 0 near range.
 
     A pixel is target if visible surfaces cover at least half of it, or if their area across the line of sight is at

@@ -1,11 +1,9 @@
 """Scattering law of surfaces (γ⁰ against incidence angle), speckle and its seeds, checks of ground and bounces."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Complex64, Float, Float32, Float64, Real
@@ -15,12 +13,10 @@ from scipy.sparse.csgraph import connected_components
 
 from sarsplat.arguments import check_number, checks_arguments, expect
 from sarsplat.errors import SarsplatError
+from sarsplat.extras import Trimesh
 from sarsplat.geometry import ImageGrid, Terrain
 from sarsplat.geometry.responses import Response
 from sarsplat.radiometry import from_db
-
-if TYPE_CHECKING:
-    import trimesh
 
 _STREAMS: dict[str, tuple[int, ...]] = {"speckle": (), "reflectivity": (1,), "views": (2,), "scatterers": (3,)}
 _MAX_GAMMA0 = 1e6
@@ -75,7 +71,7 @@ class ScatteringLaw:
         return asdict(self)
 
 
-def part_reflectivity(mesh: trimesh.Trimesh, spread_db: float, seed: int) -> Float64[np.ndarray, " faces"]:
+def part_reflectivity(mesh: Trimesh, spread_db: float, seed: int) -> Float64[np.ndarray, " faces"]:
     """Draw a factor on γ⁰ for each part of a mesh, and return that of each face: `reflectivity` of the simulators.
 
     Faces that share a corner belong to one part; factors are log-normal around 1 with this standard deviation.

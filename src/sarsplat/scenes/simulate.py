@@ -1,15 +1,14 @@
 """Simulated images of a mesh from many views, by ray casting or splatting, and the record of how they were made."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
 from jaxtyping import Float, Float32, Float64, Real
 
 from sarsplat.arguments import checks_arguments
+from sarsplat.extras import Trimesh
 from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.geometry.responses import GAUSSIAN
@@ -29,10 +28,6 @@ from sarsplat.scenes.scattering import (
 )
 from sarsplat.scenes.splat_truth import law_by_ground, law_scattering, surface_gaussians
 
-if TYPE_CHECKING:
-    import trimesh
-
-
 # Protocol R: nodes of the ray caster, and Gaussians and rays of the splat truth, per pixel spacing.
 _OVERSAMPLE = 9
 _PIECES_PER_PIXEL, _RAYS_PER_PIXEL = 3.0, 15.0
@@ -40,7 +35,7 @@ _PIECES_PER_PIXEL, _RAYS_PER_PIXEL = 3.0, 15.0
 
 @checks_arguments
 def simulate_images(
-    mesh: trimesh.Trimesh,
+    mesh: Trimesh,
     views: Sequence[View],
     grid: ImageGrid,
     *,
@@ -188,7 +183,7 @@ def simulation_record(
 
 
 def _splat(
-    mesh: trimesh.Trimesh,
+    mesh: Trimesh,
     views: Sequence[View],
     grid: ImageGrid,
     law: ScatteringLaw,

@@ -5,17 +5,15 @@ points through the amplitude response, with the phase of their distance in that 
 shadow and decorrelation.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Complex64, Complex128, Float64
 
 from sarsplat.arguments import check_number, checks_arguments
 from sarsplat.errors import SarsplatError
+from sarsplat.extras import Trimesh
 from sarsplat.geometry import ImageGrid, Stack, View
 from sarsplat.geometry.stack import LOUDEST
 from sarsplat.geometry.view import check_unstretched
@@ -25,9 +23,6 @@ from sarsplat.scenes.placement import warn_below_ground
 from sarsplat.scenes.raycast import check_rays
 from sarsplat.scenes.scattering import ScatteringLaw, generator
 
-if TYPE_CHECKING:
-    import trimesh
-
 _PER_CELL = 8  # scatterers along each side of a resolution cell: their sum is speckle to a few per cent
 _NODES = 5  # nodes per pixel and axis on which points are summed: phases are exact, positions to a tenth of a pixel
 _REACH = 8.0  # reach of the response, 3 dB widths; side lobes beyond are left out
@@ -36,7 +31,7 @@ _BATCH = 1 << 19  # rays at once
 
 @checks_arguments
 def simulate_stack(
-    mesh: trimesh.Trimesh,
+    mesh: Trimesh,
     view: View,
     grid: ImageGrid,
     stack: Stack,

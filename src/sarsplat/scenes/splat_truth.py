@@ -1,10 +1,7 @@
 """Truth from the renderer (protocol R-self): a surface covered with small, flat Gaussians."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -13,12 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from sarsplat.arguments import check_number, checks_arguments
 from sarsplat.errors import SarsplatError
+from sarsplat.extras import Trimesh
 from sarsplat.gaussians import MIN_SCALE, Gaussians, Harmonics
 from sarsplat.geometry import View
 from sarsplat.scenes.scattering import ScatteringLaw
-
-if TYPE_CHECKING:
-    import trimesh
 
 # Tuned against the ray caster (docs/reference/forward-model.md): wider or denser discs bulge over edges and appear
 # nearer than the surface, narrower or thinner ones leak.
@@ -29,7 +24,7 @@ _MAX_GAUSSIANS = 1e7
 
 
 @checks_arguments
-def surface_gaussians(mesh: trimesh.Trimesh, size: float) -> tuple[Gaussians, Int[np.ndarray, " n"]]:
+def surface_gaussians(mesh: Trimesh, size: float) -> tuple[Gaussians, Int[np.ndarray, " n"]]:
     """Cover a mesh's surface with flat Gaussians.
 
     Every triangle is bisected until its edges are no longer than `size`. Each piece becomes a Gaussian with its centre

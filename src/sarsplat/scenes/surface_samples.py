@@ -1,22 +1,18 @@
 """Random points of a mesh's surface: the bits of `trimesh.sample.sample_surface` in a fraction of time and memory."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float64, Int64, Real
 
-if TYPE_CHECKING:
-    import trimesh
+from sarsplat.extras import Trimesh
 
 _BATCH = 1 << 14  # points at once: intermediate results stay in the processor's cache
 _MAX_STARTS = 1 << 20  # maximum length of the lookup table
 
 
 def surface_samples(
-    mesh: trimesh.Trimesh, count: int, rng: np.random.Generator, weight: Real[np.ndarray, " faces"] | None = None
+    mesh: Trimesh, count: int, rng: np.random.Generator, weight: Real[np.ndarray, " faces"] | None = None
 ) -> Float64[np.ndarray, "{count} 3"]:
     """Draw points uniformly by area, or by the weight of each face; same bits as trimesh's with this generator."""
     points = np.empty((count, 3))
@@ -26,7 +22,7 @@ def surface_samples(
 
 
 def blocks_of_samples(
-    mesh: trimesh.Trimesh, count: int, rng: np.random.Generator, weight: Real[np.ndarray, " faces"] | None = None
+    mesh: Trimesh, count: int, rng: np.random.Generator, weight: Real[np.ndarray, " faces"] | None = None
 ) -> Iterator[tuple[int, Float64[np.ndarray, "3 s"], Int64[np.ndarray, " s"]]]:
     """Yield these points in batches: index of the first one, coordinates and faces."""
     ends = np.cumsum(mesh.area_faces if weight is None else weight)

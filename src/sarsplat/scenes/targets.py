@@ -1,23 +1,18 @@
 """Built-in targets by name: vehicles, a test object, buildings, a village, a satellite and an aircraft."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
+from sarsplat.extras import Trimesh
 from sarsplat.scenes._shapes import Point, assembled, box, cylinder, faces_between
 from sarsplat.scenes.aloft import aircraft, satellite
 from sarsplat.scenes.buildings import BUILDINGS
 from sarsplat.scenes.tracked import s2s1, t72
 from sarsplat.scenes.village import village
 from sarsplat.scenes.wheeled import btr70, kraz
-
-if TYPE_CHECKING:
-    import trimesh
 
 # ---- SLICY, the test object of the MSTAR collection ----
 _SIDE = 1.375  # half the width of both blocks
@@ -31,7 +26,7 @@ _LEG = 0.2927
 _SECTIONS = 64
 
 
-def slicy() -> trimesh.Trimesh:
+def slicy() -> Trimesh:
     """SLICY: 2.445 m × 2.750 m, 1.689 m high; +x out of the face with the step, +y left of it, ground at z = 0.
 
     Centred on the base block. A stepped block; on the step a lying cylinder, a quarter of which shows outside
@@ -45,7 +40,7 @@ def slicy() -> trimesh.Trimesh:
     return assembled([base, upper, lying, tall, _slicy_tube(), _slicy_corner()])
 
 
-def _slicy_tube() -> trimesh.Trimesh:
+def _slicy_tube() -> Trimesh:
     """The wall of a cylinder, open above and below."""
     import trimesh
 
@@ -56,7 +51,7 @@ def _slicy_tube() -> trimesh.Trimesh:
     return trimesh.Trimesh(vertices, faces, process=False)
 
 
-def _slicy_corner() -> trimesh.Trimesh:
+def _slicy_corner() -> Trimesh:
     """Three right-angled triangles around the apex: one on the roof, two that stand on its legs."""
     import trimesh
 
@@ -67,13 +62,13 @@ def _slicy_corner() -> trimesh.Trimesh:
 
 
 # ---- all targets ----
-VEHICLES: dict[str, Callable[[], trimesh.Trimesh]] = {"t72": t72, "btr70": btr70, "2s1": s2s1, "kraz": kraz}
+VEHICLES: dict[str, Callable[[], Trimesh]] = {"t72": t72, "btr70": btr70, "2s1": s2s1, "kraz": kraz}
 """Vehicles and the functions that build them: closed bodies that may intersect, centred on the hull."""
 
-ALOFT: dict[str, Callable[[], trimesh.Trimesh]] = {"satellite": satellite, "aircraft": aircraft}
+ALOFT: dict[str, Callable[[], Trimesh]] = {"satellite": satellite, "aircraft": aircraft}
 """Targets around the origin, without ground, and the functions that build them."""
 
-TARGETS: dict[str, Callable[[], trimesh.Trimesh]] = {
+TARGETS: dict[str, Callable[[], Trimesh]] = {
     **VEHICLES,
     "slicy": slicy,
     **{name: box.mesh for name, box in BUILDINGS.items()},
@@ -84,7 +79,7 @@ TARGETS: dict[str, Callable[[], trimesh.Trimesh]] = {
 
 
 @checks_arguments
-def target_mesh(name: str) -> trimesh.Trimesh:
+def target_mesh(name: str) -> Trimesh:
     """Build the triangle mesh of a built-in target; `village` makes villages of any size.
 
     Parameters

@@ -1,21 +1,16 @@
 """Tracked vehicles of true dimensions, a T-72 and a 2S1, from simple closed bodies that may intersect."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING
 
+from sarsplat.extras import Trimesh
 from sarsplat.scenes._shapes import assembled, barrel, belt, box, cylinder, hull, mirrored, prism, revolved, wheel
-
-if TYPE_CHECKING:
-    import trimesh
 
 _GUN_ELEVATION_DEG = 3.0
 _TRUNNION = (1.15, 0.0, 1.68)
 _MUZZLE_X = 5.98
 
 
-def t72() -> trimesh.Trimesh:
+def t72() -> Trimesh:
     """T-72: hull 6.9 m × 3.6 m, 2.2 m high, 9.55 m with the gun forward; +x nose, +y left, ground at z = 0.
 
     Centred on the hull in x and y. Written from published overall dimensions; details are plausible, not surveyed.
@@ -24,7 +19,7 @@ def t72() -> trimesh.Trimesh:
     return assembled([*_t72_hull(), *gear, *_t72_fenders(), *_t72_stern(), *_t72_turret(), _t72_gun()])
 
 
-def _t72_hull() -> list[trimesh.Trimesh]:
+def _t72_hull() -> list[Trimesh]:
     body = [(3.45, 0.92), (2.35, 1.38), (-3.18, 1.38), (-3.45, 0.80), (-2.95, 0.47), (2.85, 0.47)]
     glacis_slope = (1.38 - 0.92) / (3.45 - 2.35)
     guards = [[(2.75, 0.0), (2.45, side), (2.71, 0.0), (2.41, side)] for side in (-1.0, 1.0)]
@@ -37,7 +32,7 @@ def _t72_hull() -> list[trimesh.Trimesh]:
     return [prism(body, (-1.15, 1.15)), *splash_guard, *lamps, driver_hatch, *engine_deck]
 
 
-def _t72_running_gear(side: int) -> list[trimesh.Trimesh]:
+def _t72_running_gear(side: int) -> list[Trimesh]:
     """Track, six road wheels, sprocket (rear) and idler (front) of the left (+1) or right (−1) side."""
     track = (side * 1.19, side * 1.75)
     road = [(2.14 - 0.856 * k, 0.42, 0.375) for k in range(6)]
@@ -48,7 +43,7 @@ def _t72_running_gear(side: int) -> list[trimesh.Trimesh]:
     return [belt(wheels, 0.045, track), *discs, *hubs]
 
 
-def _t72_fenders() -> list[trimesh.Trimesh]:
+def _t72_fenders() -> list[Trimesh]:
     parts = []
     for side in (-1.0, 1.0):
         inner, outer = side * 1.1, side * 1.78
@@ -63,7 +58,7 @@ def _t72_fenders() -> list[trimesh.Trimesh]:
     return [*parts, *cells, *stowage, box((-2.0, -1.4), (1.2, 1.76), (1.10, 1.30))]
 
 
-def _t72_stern() -> list[trimesh.Trimesh]:
+def _t72_stern() -> list[Trimesh]:
     """Two fuel drums across the stern, their brackets and the unditching log below."""
     drums = [cylinder(0.27, (-3.30, y - 0.45, 1.58), (-3.30, y + 0.45, 1.58)) for y in (-0.55, 0.55)]
     brackets = [box((-3.45, -3.1), (y - 0.04, y + 0.04), (1.15, 1.40)) for y in (-0.85, -0.25, 0.25, 0.85)]
@@ -71,7 +66,7 @@ def _t72_stern() -> list[trimesh.Trimesh]:
     return [*drums, *brackets, log]
 
 
-def _t72_turret() -> list[trimesh.Trimesh]:
+def _t72_turret() -> list[Trimesh]:
     profile = [
         (0.0, 1.34), (0.98, 1.34), (1.12, 1.42), (1.20, 1.54), (1.17, 1.68),
         (1.05, 1.82), (0.84, 1.94), (0.55, 2.02), (0.25, 2.05), (0.0, 2.06),
@@ -101,7 +96,7 @@ def _t72_turret() -> list[trimesh.Trimesh]:
     return [dome, mantlet, *cupola, *gunner, searchlight, snorkel, *stowage]
 
 
-def _t72_gun() -> trimesh.Trimesh:
+def _t72_gun() -> Trimesh:
     """125 mm-class gun with thermal sleeve, bore evacuator and muzzle collar, inclined upwards."""
     length = (_MUZZLE_X - _TRUNNION[0]) / math.cos(math.radians(_GUN_ELEVATION_DEG))
     profile = [
@@ -111,7 +106,7 @@ def _t72_gun() -> trimesh.Trimesh:
     return barrel(profile, _TRUNNION, _GUN_ELEVATION_DEG)
 
 
-def s2s1() -> trimesh.Trimesh:
+def s2s1() -> Trimesh:
     """2S1: 7.26 m × 2.85 m, 2.73 m high, howitzer level with the nose; +x nose, +y left, ground at z = 0.
 
     Centred on the hull in x and y. Written from published overall dimensions; details are plausible, not surveyed.
@@ -121,7 +116,7 @@ def s2s1() -> trimesh.Trimesh:
     return assembled([*_s2s1_hull(), *sides, *top])
 
 
-def _s2s1_hull() -> list[trimesh.Trimesh]:
+def _s2s1_hull() -> list[Trimesh]:
     tub = [(3.63, 0.98), (3.50, 0.86), (2.75, 0.42), (-3.15, 0.42), (-3.50, 0.60), (-3.50, 1.20), (3.35, 1.08)]
     # Above the tracks the hull is as wide as they are, behind a long sloping bow.
     upper = mirrored(
@@ -131,7 +126,7 @@ def _s2s1_hull() -> list[trimesh.Trimesh]:
     return [prism(tub, (-1.0, 1.0)), upper]
 
 
-def _s2s1_side(side: int) -> list[trimesh.Trimesh]:
+def _s2s1_side(side: int) -> list[Trimesh]:
     """Running gear and fender of the left (+1) or right (−1) side: the sprocket is in front, the idler behind."""
     radius, thickness = 0.335, 0.04
     road = [(x, radius + thickness, radius) for x in (2.30 - 0.79 * k for k in range(7))]
@@ -144,7 +139,7 @@ def _s2s1_side(side: int) -> list[trimesh.Trimesh]:
     return [track, *wheels, mudguard, rear_flap]
 
 
-def _s2s1_deck() -> list[trimesh.Trimesh]:
+def _s2s1_deck() -> list[Trimesh]:
     # Driver on the left in front, behind a windscreen; the engine and its grilles on the right.
     slope = (1.62 - 1.04) / (3.55 - 1.75)
     hood = [(2.35, 1.40), (1.95, 1.72), (1.30, 1.72), (1.25, 1.60)]
@@ -165,14 +160,14 @@ def _s2s1_deck() -> list[trimesh.Trimesh]:
     return [driver_hood, hatch, *grilles, louvre, exhaust, *lamps, *lamp_posts, *lock, vane]
 
 
-def _s2s1_stern() -> list[trimesh.Trimesh]:
+def _s2s1_stern() -> list[Trimesh]:
     door = box((-3.58, -3.45), (-0.42, 0.42), (0.80, 1.52))
     boxes = [box((-3.63, -3.45), (y - 0.25, y + 0.25), (1.05, 1.45)) for y in (-0.92, 0.92)]
     hooks = [box((-3.60, -3.3), (y - 0.06, y + 0.06), (0.62, 0.76)) for y in (-0.75, 0.75)]
     return [door, *boxes, *hooks]
 
 
-def _s2s1_turret() -> list[trimesh.Trimesh]:
+def _s2s1_turret() -> list[Trimesh]:
     """Large, low and flat-roofed, near the stern; sides and front slope."""
     base = [(0.42, 0.55), (0.10, 0.98), (-0.75, 1.22), (-1.90, 1.24), (-2.65, 1.00), (-2.95, 0.55)]
     roof = [(-0.22, 0.48), (-0.45, 0.72), (-0.95, 0.94), (-1.90, 0.98), (-2.48, 0.82), (-2.68, 0.45)]
@@ -192,7 +187,7 @@ def _s2s1_turret() -> list[trimesh.Trimesh]:
     return [body, ring, *cupola, *sight, loader, ventilator, bustle]
 
 
-def _s2s1_howitzer() -> list[trimesh.Trimesh]:
+def _s2s1_howitzer() -> list[Trimesh]:
     """122 mm howitzer with bore evacuator and a double-baffle muzzle brake."""
     mantlet = hull(
         [(-0.3, y, z) for y in (-0.42, 0.42) for z in (1.72, 2.26)]

@@ -1,17 +1,11 @@
 """A village of any size: houses with gabled and flat roofs, chimneys and cars on a raster of lots."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.errors import SarsplatError
+from sarsplat.extras import Trimesh
 from sarsplat.scenes._shapes import assembled
-
-if TYPE_CHECKING:
-    import trimesh
 
 LOT_M = 18.0
 """Side of a lot."""
@@ -22,7 +16,7 @@ _LARGEST_M = 10_000.0  # maximum side of a village
 
 
 @checks_arguments
-def village(side_m: float = 123.0, seed: int = 0, edge_m: float = 1.0) -> trimesh.Trimesh:
+def village(side_m: float = 123.0, seed: int = 0, edge_m: float = 1.0) -> Trimesh:
     """Build a village of any size, the same for the same seed.
 
     Parameters
@@ -66,7 +60,7 @@ def village(side_m: float = 123.0, seed: int = 0, edge_m: float = 1.0) -> trimes
     return divided
 
 
-def _house(chance: np.random.Generator) -> trimesh.Trimesh:
+def _house(chance: np.random.Generator) -> Trimesh:
     import trimesh
 
     width, depth, height = chance.uniform(7, 11), chance.uniform(6, 9), chance.uniform(3, 7)
@@ -82,7 +76,7 @@ def _house(chance: np.random.Generator) -> trimesh.Trimesh:
     return assembled(parts)
 
 
-def _box(width: float, depth: float, height: float, at: tuple[float, float]) -> trimesh.Trimesh:
+def _box(width: float, depth: float, height: float, at: tuple[float, float]) -> Trimesh:
     import trimesh
 
     box = trimesh.creation.box((width, depth, height))

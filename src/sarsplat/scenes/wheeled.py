@@ -1,13 +1,7 @@
 """Wheeled vehicles of true dimensions, a BTR-70 and a KrAZ-255B, from simple closed bodies that may intersect."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
+from sarsplat.extras import Trimesh
 from sarsplat.scenes._shapes import assembled, barrel, box, cylinder, hull, mirrored, prism, revolved, strip, wheel
-
-if TYPE_CHECKING:
-    import trimesh
 
 _BTR70_AXLES_X = (2.28, 0.90, -0.75, -2.12)
 """The gap between the second and the third axle is wider: the side doors are there."""
@@ -15,7 +9,7 @@ _BTR70_AXLES_X = (2.28, 0.90, -0.75, -2.12)
 _TURRET_X = 0.72
 
 
-def btr70() -> trimesh.Trimesh:
+def btr70() -> Trimesh:
     """BTR-70: 7.54 m × 2.80 m, 2.24 m high, eight wheels of 1.12 m; +x nose, +y left, ground at z = 0.
 
     Centred on the hull in x and y. Written from published overall dimensions; details are plausible, not surveyed.
@@ -25,7 +19,7 @@ def btr70() -> trimesh.Trimesh:
     )
 
 
-def _btr70_hull() -> list[trimesh.Trimesh]:
+def _btr70_hull() -> list[Trimesh]:
     # Boat-shaped: narrow between the wheels, widest along a belt line just above them, and drawn in above it.
     boat = mirrored(
         (3.77, 0.95, 1.12), (3.70, 0.92, 0.98), (2.75, 0.85, 0.50), (-3.05, 0.85, 0.475), (-3.77, 0.98, 1.15),
@@ -43,7 +37,7 @@ def _btr70_hull() -> list[trimesh.Trimesh]:
     return [boat, lower_deck, upper, engine, trim_vane]
 
 
-def _btr70_sides(side: int) -> list[trimesh.Trimesh]:
+def _btr70_sides(side: int) -> list[Trimesh]:
     """Wheels, door and everything else along the left (+1) or right (−1) side."""
     wheels = [wheel(x, (side * 1.03, side * 1.37), 0.56, rim=0.5) for x in _BTR70_AXLES_X]
     stubs = [cylinder(0.14, (x, side * 0.8, 0.56), (x, side * 1.1, 0.56), sections=12) for x in _BTR70_AXLES_X]
@@ -62,7 +56,7 @@ def _btr70_sides(side: int) -> list[trimesh.Trimesh]:
     return [*wheels, *stubs, wall, door, splash_rail, lamp, lamp_guard, silencer, tail_pipe, *ports]
 
 
-def _btr70_roof() -> list[trimesh.Trimesh]:
+def _btr70_roof() -> list[Trimesh]:
     # Two windscreens under raised shutters, hatches of driver and commander, a row of periscopes, troop hatches.
     shutter = [(2.53, 1.54), (2.60, 1.58), (2.27, 1.78), (2.34, 1.82)]
     shutters = [hull([(x, y, z) for y in (c - 0.24, c + 0.24) for x, z in shutter]) for c in (-0.48, 0.48)]
@@ -76,7 +70,7 @@ def _btr70_roof() -> list[trimesh.Trimesh]:
     return [*shutters, *hatches, *troop_hatches, *periscopes, searchlight, *grilles]
 
 
-def _btr70_stern() -> list[trimesh.Trimesh]:
+def _btr70_stern() -> list[Trimesh]:
     """Outlet of the water jet with its two-part cover, tow hooks, tail lamps."""
     jet = cylinder(0.26, (-3.2, 0.0, 0.84), (-3.66, 0.0, 0.84))
     hooks = [box((-3.70, -3.4), (y - 0.06, y + 0.06), (0.86, 1.02)) for y in (-0.78, 0.78)]
@@ -84,7 +78,7 @@ def _btr70_stern() -> list[trimesh.Trimesh]:
     return [jet, *hooks, *lamps]
 
 
-def _btr70_turret() -> list[trimesh.Trimesh]:
+def _btr70_turret() -> list[Trimesh]:
     """Truncated cone with a 14.5 mm gun and, on its left, a rifle-calibre one."""
     cone = revolved([(0.0, 1.75), (0.74, 1.75), (0.72, 1.84), (0.47, 2.16), (0.40, 2.18), (0.0, 2.18)])
     cone.apply_translation((_TURRET_X, 0.0, 0.0))
@@ -105,7 +99,7 @@ _BED = (-4.32, 0.24)
 _FLOOR, _BOARDS = 1.60, 2.42
 
 
-def kraz() -> trimesh.Trimesh:
+def kraz() -> Trimesh:
     """KrAZ-255B: 8.65 m × 2.75 m, 2.94 m high at the cab, six wheels; +x nose, +y left, ground at z = 0.
 
     Centred in x and y. Written from published overall dimensions; details are plausible, not surveyed.
@@ -113,7 +107,7 @@ def kraz() -> trimesh.Trimesh:
     return assembled([*_kraz_chassis(), *_kraz_side(+1), *_kraz_side(-1), *_kraz_bonnet(), *_kraz_cab(), *_kraz_bed()])
 
 
-def _kraz_chassis() -> list[trimesh.Trimesh]:
+def _kraz_chassis() -> list[Trimesh]:
     rails = [box((-4.15, 4.05), (y - 0.06, y + 0.06), (0.98, 1.24)) for y in (-0.45, 0.45)]
     axles = [cylinder(0.11, (x, -0.95, 0.65), (x, 0.95, 0.65), sections=16) for x in _KRAZ_AXLES_X]
     corners = [(dx, dy, dz) for dx in (-0.26, 0.26) for dy in (-0.24, 0.24) for dz in (-0.2, 0.2)]
@@ -130,7 +124,7 @@ def _kraz_chassis() -> list[trimesh.Trimesh]:
     return [*rails, *axles, *differentials, gearbox, bumper, *hooks, crossbar, tow_hook, spare, rack, air_filter]
 
 
-def _kraz_side(side: int) -> list[trimesh.Trimesh]:
+def _kraz_side(side: int) -> list[Trimesh]:
     """Wheels, front wing, step and tank of the left (+1) or right (−1) side."""
     wheels = [wheel(x, (side * 0.815, side * 1.345), 0.65, rim=0.48) for x in _KRAZ_AXLES_X]
     # The wing rises from the bumper, runs flat over the wheel and falls to the step below the cab's door.
@@ -146,7 +140,7 @@ def _kraz_side(side: int) -> list[trimesh.Trimesh]:
     return [*wheels, *wing, step, tank, lamp, lamp_post, mirror, mirror_arm]
 
 
-def _kraz_bonnet() -> list[trimesh.Trimesh]:
+def _kraz_bonnet() -> list[Trimesh]:
     """Long, narrowing to the radiator, its top falling a little forwards."""
     hood = mirrored(
         (2.15, 0.72, 1.20), (2.15, 0.72, 1.98), (2.15, 0.58, 2.12), (4.02, 0.52, 1.20), (4.02, 0.52, 1.86),
@@ -161,7 +155,7 @@ def _kraz_bonnet() -> list[trimesh.Trimesh]:
     return [hood, *frame, *bars]
 
 
-def _kraz_cab() -> list[trimesh.Trimesh]:
+def _kraz_cab() -> list[Trimesh]:
     """Lower half, pillars and roof, so that the windows are open."""
     rear, front, belt = 0.82, 2.20, 2.06
     body = prism([(rear, 1.05), (front, 1.05), (front, belt), (rear, belt)], (-1.16, 1.16))
@@ -179,7 +173,7 @@ def _kraz_cab() -> list[trimesh.Trimesh]:
     return [body, *doors, back, *pillars, roof]
 
 
-def _kraz_bed() -> list[trimesh.Trimesh]:
+def _kraz_bed() -> list[Trimesh]:
     """Flat floor on cross bearers, slatted boards all round and a solid tailboard."""
     rear, front = _BED
     floor = box(_BED, (-1.33, 1.33), (_FLOOR - 0.10, _FLOOR))

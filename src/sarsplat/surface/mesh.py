@@ -7,13 +7,10 @@ view looked, as below a vehicle. Bricks of the grid near points are processed on
 surface, memory hardly. Finally triangles are rotated to the normals around them, which removes the noise of points.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -25,16 +22,13 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from sarsplat.errors import SarsplatError
-from sarsplat.extras import install_command
+from sarsplat.extras import Trimesh, install_command
 from sarsplat.progress import stage
 from sarsplat.radiometry import shade
 from sarsplat.surface import cells
 from sarsplat.surface.cells import CUBE, Surfels, dot
 from sarsplat.surface.neighbours import Neighbours, Tree, neighbours_of
 from sarsplat.surface.visibility import Seen
-
-if TYPE_CHECKING:
-    import trimesh
 
 _VOXEL = 0.25  # units of the planes
 _REACH = 0.15  # maximum distance of the mesh from the nearest point, units of the planes
@@ -56,9 +50,7 @@ _SUMMED = 4096  # places in a batch on the CPU, for its caches
 _ASKED = 10_000  # maximum number of points whose nearest neighbour gives the spacing
 
 
-def surface_mesh(
-    points: Real[np.ndarray, "p 3"], normals: Real[np.ndarray, "p 3"], seen: Seen, cell: float
-) -> trimesh.Trimesh:
+def surface_mesh(points: Real[np.ndarray, "p 3"], normals: Real[np.ndarray, "p 3"], seen: Seen, cell: float) -> Trimesh:
     """Mesh through points [P, 3], m, with outward unit normals; it has no faces if they make no surface.
 
     Lengths are in resolution cells or, for sparse points, 7.5 times their spacing: voxels are 0.25, and no vertex is
@@ -105,7 +97,7 @@ def surface_mesh(
 
 
 def _zero_surface(
-    planes: Planes, marching_cubes: Callable[..., tuple[np.ndarray, ...]], tell: Callable[[float], object]
+    planes: "Planes", marching_cubes: Callable[..., tuple[np.ndarray, ...]], tell: Callable[[float], object]
 ) -> tuple[Float64[np.ndarray, "v 3"], Int64[np.ndarray, "f 3"]]:
     """Vertices, m, and faces at which the signed distance (positive outside) changes its sign near points.
 
@@ -215,7 +207,7 @@ def _without_crumbs(
 
 
 def _fitted(
-    vertices: Float64[np.ndarray, "v 3"], faces: Int64[np.ndarray, "f 3"], planes: Planes
+    vertices: Float64[np.ndarray, "v 3"], faces: Int64[np.ndarray, "f 3"], planes: "Planes"
 ) -> Iterator[Float64[np.ndarray, "v 3"]]:
     """Vertices, m, after each of `_FIT_ROUNDS` rounds that rotate triangles to the planes' normals.
 
@@ -238,7 +230,7 @@ def _fitted(
         yield vertices
 
 
-def _rotated(corners: Float64[np.ndarray, "f 3 3"], planes: Planes) -> Float64[np.ndarray, "f 3 3"]:
+def _rotated(corners: Float64[np.ndarray, "f 3 3"], planes: "Planes") -> Float64[np.ndarray, "f 3 3"]:
     """Edges of triangles, from each corner to the next, rotated to the normals of the planes at their middles."""
     edges = np.roll(corners, -1, axis=1) - corners
     across = np.cross(edges[:, 0], edges[:, 1])
@@ -270,7 +262,7 @@ class Planes:
         normals: Real[np.ndarray, "p 3"],
         cell_m: float,
         device: torch.device,
-    ) -> Planes:
+    ) -> "Planes":
         """Planes through oriented points, calculated on a device."""
         cloud, sample = torch.from_numpy(points).to(device), slice(None, None, math.ceil(len(points) / _ASKED))
         near = neighbours_of(cloud)

@@ -1,12 +1,10 @@
 """Subjects of the viewer: interface of a run, a dataset or a training, and scenes of Gaussians."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -16,6 +14,7 @@ from scipy.spatial import cKDTree
 from sarsplat.data import Dataset
 from sarsplat.data.outliers import outliers
 from sarsplat.errors import SarsplatError
+from sarsplat.extras import Trimesh
 from sarsplat.gaussians import Gaussians, Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.learning import Trainer
@@ -28,9 +27,6 @@ from sarsplat.report.stacks import Interferogram, Pair
 from sarsplat.runs.own_gaussians import own_scene
 from sarsplat.scenes import ScatteringLaw, law_by_ground
 from sarsplat.scenes.meshes import read_mesh
-
-if TYPE_CHECKING:
-    import trimesh
 
 TRUTH = "true surface"
 """Name of the cloud of the true surface."""
@@ -107,7 +103,7 @@ class Subject:
         return np.stack([view.direction for view, _ in self.views])
 
     @cached_property
-    def truth(self) -> trimesh.Trimesh | None:
+    def truth(self) -> Trimesh | None:
         """True surface, if it is known and can be read."""
         if self.dataset is None or self.dataset.truth_mesh is None:
             return None
