@@ -4,8 +4,6 @@ Ramps are legible on light and dark pages and for colour-blind readers. Their na
 maps in matplotlib.
 """
 
-from __future__ import annotations
-
 import base64
 import zlib
 from dataclasses import dataclass
@@ -156,7 +154,7 @@ def gradient(name: str) -> str:
     return f"linear-gradient(90deg, {', '.join(f'rgb({r} {g} {b} / {a / 255:.2f})' for r, g, b, a in stops)})"
 
 
-def colormap(name: str) -> Colormap:
+def colormap(name: str) -> "Colormap":
     """Return the ramp as a colour map of matplotlib."""
     from matplotlib.colors import ListedColormap
 

@@ -1,7 +1,5 @@
 """`sarsplat chips`: generate chips from runs to train a classifier."""
 
-from __future__ import annotations
-
 import shlex
 from dataclasses import asdict
 from pathlib import Path
@@ -149,13 +147,13 @@ def _write_measured(datasets: tuple[Path, ...], out: Path, encoding: dict[str, A
     )
 
 
-def _summary(made: Chips) -> str:
+def _summary(made: "Chips") -> str:
     many = f" of {len(made.classes)} classes" if len(made.classes) > 1 else f" of {made.classes[0]}"
     rows, columns = made.encoding.size(made.runs[0].grid)
     return f"{counted(len(made), 'chip')}{many}, {rows} × {columns} pixels"
 
 
-def _next(out: Path, made: Chips, shard: int | None) -> str:
+def _next(out: Path, made: "Chips", shard: int | None) -> str:
     if shard is not None:
         return f"train on {out}/chips-*.tar, shuffled and mixed with measured chips (docs/how-to/chips.md)"
     folder = shlex.quote(str(out / made.classes[0]))

@@ -1,7 +1,5 @@
 """`sarsplat compare`: a table and a page that put evaluated runs side by side."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -58,7 +56,7 @@ def compare(
     console.finish(str(page), f"open {page} in a browser")
 
 
-def _table(comparison: Comparison) -> Table:
+def _table(comparison: "Comparison") -> "Table":
     """A row for every metric, a column for every run and baseline; the best of a row has a star."""
     from rich import box
     from rich.markup import escape

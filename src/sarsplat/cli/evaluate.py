@@ -1,7 +1,5 @@
 """`sarsplat evaluate`: score a run."""
 
-from __future__ import annotations
-
 import shlex
 from collections.abc import Mapping
 from pathlib import Path
@@ -77,7 +75,7 @@ def evaluate(
         console.finish(f"{run / 'metrics.json'}", f"sarsplat report {shlex.quote(str(run))}")
 
 
-def _run(run: Path, dataset: Path | None, mesh: Path | None) -> Run:
+def _run(run: Path, dataset: Path | None, mesh: Path | None) -> "Run":
     """Return the run in a folder, or that of the Gaussians in a file."""
     from sarsplat.data import read_dataset
     from sarsplat.report.write import refuse_linked_report
@@ -90,7 +88,7 @@ def _run(run: Path, dataset: Path | None, mesh: Path | None) -> Run:
     return done
 
 
-def _show(metrics: Mapping[str, Any], run: Run) -> None:
+def _show(metrics: Mapping[str, Any], run: "Run") -> None:
     """Print the table of scores, with notes and warnings."""
     from sarsplat.evaluation import NOT_THE_SAME_EXPERIMENT, Yardstick, comparison, metrics_table, paper_beside
 
@@ -111,7 +109,7 @@ def _beside(own: dict[str, float | None], capon: dict[str, float | None]) -> str
     return f"points beside those of Capon's method, pixel by pixel over 3 × 3: {pairs or 'it found none'}"
 
 
-def _of_gaussians(file: Path, dataset: Path | None, mesh: Path | None) -> Run:
+def _of_gaussians(file: Path, dataset: Path | None, mesh: Path | None) -> "Run":
     """Return the Gaussians of a file as a run of the dataset, or else of images rendered from all sides."""
     from sarsplat.data import Dataset, SarImage, read_dataset, read_gaussians_ply
     from sarsplat.runs import Run

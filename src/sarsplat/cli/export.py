@@ -1,7 +1,5 @@
 """`sarsplat export`: write a run as one file for other programs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -90,7 +88,7 @@ def export(
     console.finish(f"{file}: {written.summary}", f"open {file} with {written.opened_with}")
 
 
-def _view(azimuth: Angles, grazing: Angles, incidence: Angles) -> View | None:
+def _view(azimuth: Angles, grazing: Angles, incidence: Angles) -> "View | None":
     """Return the direction of the options, None without; raise if there are several."""
     if not (azimuth or grazing or incidence):
         return None

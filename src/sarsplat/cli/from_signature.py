@@ -4,8 +4,6 @@ Both are read from the source, so that help does not import numpy. Every import 
 orientation, a summary and the next command.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 import shlex
@@ -212,7 +210,7 @@ def _helps(docstring: str) -> dict[str, str]:
 
 
 def _carry_out(
-    importer: Callable[..., Dataset], files: object, out: Path, *, overwrite: bool, doing: str = "", **options: Any
+    importer: "Callable[..., Dataset]", files: object, out: Path, *, overwrite: bool, doing: str = "", **options: Any
 ) -> int:
     """Call an importer unless its output exists, and finish; `doing` is the progress message."""
     from sarsplat.data.dataset_folder import HEADER
@@ -255,7 +253,7 @@ def _warned_later(contradictions: list[str]) -> Iterator[None]:
                 warnings.showwarning(one.message, one.category, one.filename, one.lineno)
 
 
-def _finish(out: Path, dataset: Dataset, examined: Examination) -> int:
+def _finish(out: Path, dataset: "Dataset", examined: "Examination") -> int:
     """Print assumptions and contradictions, draw the orientation sheet, and return 1 if there are contradictions."""
     from sarsplat.data import write_bytes
     from sarsplat.examination.plausible import warn

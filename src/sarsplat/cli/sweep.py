@@ -1,7 +1,5 @@
 """`sarsplat sweep`: carry out the runs of a plan, and tabulate their scores."""
 
-from __future__ import annotations
-
 import shlex
 from collections import Counter
 from dataclasses import asdict

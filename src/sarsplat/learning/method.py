@@ -1,31 +1,26 @@
 """Interface of a reconstruction method: settings, trainer, and the learned reconstruction."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
+import torch
 from jaxtyping import Complex64, Complex128, Float32, Float64, UInt8
 
 from sarsplat.data import Dataset, DatasetEntry
 from sarsplat.data.header import Box
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.extras import Trimesh
+from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, Stack, View
+from sarsplat.learning.losses import Loss
+from sarsplat.learning.model import SceneModel
+from sarsplat.learning.snapshot import Snapshot
 from sarsplat.names import Speckle
 from sarsplat.settings.config import AnyConfig
-
-if TYPE_CHECKING:
-    import torch
-
-    from sarsplat.gaussians import Gaussians
-    from sarsplat.learning.losses import Loss
-    from sarsplat.learning.model import SceneModel
-    from sarsplat.learning.snapshot import Snapshot
 
 
 @dataclass(frozen=True)
@@ -104,7 +99,7 @@ class Method(ABC):
         config: Any,
         inputs: Inputs,
         device: torch.device,
-        begun: Callable[[], Reconstruction] | None,
+        begun: "Callable[[], Reconstruction] | None",
     ) -> Trainable:
         """Return a new trainer on the dataset's training images.
 
@@ -112,7 +107,7 @@ class Method(ABC):
         """
 
     @abstractmethod
-    def open(self, snapshot: Snapshot, config: Any, device: str, folder: Path | None) -> Reconstruction:
+    def open(self, snapshot: Snapshot, config: Any, device: str, folder: Path | None) -> "Reconstruction":
         """Return the reconstruction in a snapshot; `folder` is that of the run's results, if there is one.
 
         Raises KeyError, ValueError, TypeError, IndexError, RuntimeError or SarsplatError if the snapshot does not hold

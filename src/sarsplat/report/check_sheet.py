@@ -1,7 +1,5 @@
 """A sheet of images with detected outlines and expected directions, to check for contradictions."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -88,7 +86,7 @@ def _x_of(dataset: Dataset) -> str:
     return f"+x (compass bearing {dataset.place.x_towards_deg:.4g}°)"
 
 
-def _table(figure: Figure, rows: Sequence[tuple[str, ...]]) -> None:
+def _table(figure: "Figure", rows: Sequence[tuple[str, ...]]) -> None:
     """Write rows of text at the foot of the sheet; the best orientation is highlighted."""
     height = figure.get_size_inches()[1]
     for line, row in enumerate(reversed(rows)):
@@ -97,12 +95,12 @@ def _table(figure: Figure, rows: Sequence[tuple[str, ...]]) -> None:
             figure.text(place, (0.1 + line * _LINE) / height, text, color=colour, size=8, va="bottom")
 
 
-def _contour(axes: Axes, mask: Bool[np.ndarray, "rows columns"], grid: ImageGrid, colour: str) -> None:
+def _contour(axes: "Axes", mask: Bool[np.ndarray, "rows columns"], grid: ImageGrid, colour: str) -> None:
     if mask.any() and not mask.all() and min(mask.shape) > 1:
         axes.contour(grid.azimuth_m, grid.range_m, mask.astype(float), levels=[0.5], colors=[colour], linewidths=1.1)
 
 
-def _nose(axes: Axes, view: View, grid: ImageGrid) -> None:
+def _nose(axes: "Axes", view: View, grid: ImageGrid) -> None:
     """Draw the direction of the nose from the middle of an image."""
     left, right, bottom, top = grid.extent_m
     nose: Float64[np.ndarray, " 2"] = view.look.gradients[:, 0] * _NOSE * min(right - left, bottom - top)

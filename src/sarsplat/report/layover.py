@@ -1,16 +1,14 @@
 """A vertical slice through layover: reconstructed points, those of Capon's method, and the true surface."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import uniform_filter1d
 
+from sarsplat.data import Dataset
 from sarsplat.errors import counted
 from sarsplat.evaluation import read_truth_mesh
 from sarsplat.evaluation.capon import capon_points
@@ -20,9 +18,6 @@ from sarsplat.geometry import ImageGrid, Stack, View
 from sarsplat.report.figure import Block, Figure, Panel, axis, chart, polyline, written
 from sarsplat.report.images import view_name
 from sarsplat.runs import Run
-
-if TYPE_CHECKING:
-    from sarsplat.data import Dataset
 
 Points = Float[np.ndarray, "p 3"]
 Lines = Float[np.ndarray, "lines 2 3"]

@@ -1,7 +1,5 @@
 """Report page: self-contained HTML with pictures, style and tables of scores."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -158,7 +156,7 @@ def rendered(template: str, **values: Any) -> str:
 
 
 @cache
-def _templates() -> jinja2.Environment:
+def _templates() -> "jinja2.Environment":
     """Environment that caches compiled templates."""
     import jinja2
 

@@ -1,7 +1,5 @@
 """Views of a sweep, and rendered images as a folder, a single image, or an animation that plays in browsers."""
 
-from __future__ import annotations
-
 import io
 import math
 import re
@@ -71,7 +69,7 @@ class Rendered:
     grid: ImageGrid
     look: Look
 
-    def around_target(self) -> Rendered:
+    def around_target(self) -> "Rendered":
         """Crop all images to the target; unchanged if they show ground."""
         rows, columns = target_window(self.images, self.look.peak)
         return replace(self, images=self.images[:, rows, columns], grid=self.grid.part(rows, columns))
@@ -242,7 +240,7 @@ def frame(
 
 
 @cache
-def _font() -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
+def _font() -> "ImageFont.FreeTypeFont | ImageFont.ImageFont":
     from PIL import ImageFont
 
     return ImageFont.load_default(_TEXT)

@@ -1,7 +1,5 @@
 """Methods: modules `method_NAME.py` of `learning` and `baselines`, and entry points; without torch."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
@@ -12,11 +10,11 @@ if TYPE_CHECKING:
     from sarsplat.learning.method import Method
 
 _PLUGINS = discover("sarsplat.learning", "method_", "METHOD", "sarsplat.methods", "sarsplat.baselines")
-METHODS: Mapping[str, Method] = _PLUGINS
+METHODS: "Mapping[str, Method]" = _PLUGINS
 """Methods by name, as on the command line; imported at first use."""
 
 
-def method_named(name: str) -> Method:
+def method_named(name: str) -> "Method":
     """Return one of `METHODS`; raise for unknown names and failed imports."""
     if name not in METHODS:
         raise SarsplatError(

@@ -3,8 +3,6 @@
 Runs are named by their folders; hashed folders of sweeps by dataset and differing settings.
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -161,7 +159,7 @@ class TrainingState:
 class InMemory:
     """Storage of a run without a folder."""
 
-    snapshot: Snapshot
+    snapshot: "Snapshot"
     history: list[LogLine]
     metrics: Metrics | None = None
     path: ClassVar[None] = None
@@ -179,7 +177,7 @@ class RunFolder:
     path: Path
 
     @property
-    def snapshot(self) -> Snapshot:
+    def snapshot(self) -> "Snapshot":
         """Newest checkpoint."""
         if (checkpoint := self.checkpoint_path) is None:
             raise SarsplatError(f"{self.path} holds no checkpoint; reconstruct it again with overwrite=True")
@@ -200,7 +198,7 @@ class RunFolder:
         files = (self.path / CHECKPOINTS).glob("*.safetensors")
         return sorted((file for file in files if re.fullmatch(r"\d{8,}", file.stem)), key=lambda file: int(file.stem))
 
-    def save(self, snapshot: Snapshot) -> None:
+    def save(self, snapshot: "Snapshot") -> None:
         """Add a checkpoint and remove all but the newest two."""
         folder = self.path / CHECKPOINTS
         with plain_os_errors("write", folder):

@@ -1,7 +1,5 @@
 """TensorBoard logs of trainings: curves, and images of a few fixed views."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from operator import methodcaller
@@ -140,7 +138,7 @@ class TensorBoard:
         self._waiting = []
 
 
-def _writer_class() -> type[SummaryWriter]:
+def _writer_class() -> "type[SummaryWriter]":
     try:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError as error:

@@ -3,8 +3,6 @@
 Lengths are in resolution cells (`sarsplat.ImageGrid.cell_m`), so that settings suit targets of any size.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -271,7 +269,7 @@ class Config(AnyConfig):
             )
 
     @property
-    def box_m(self) -> Box | None:
+    def box_m(self) -> "Box | None":
         """Corners of `target_box`."""
         return None if self.target_box is None else (self.target_box[:3], self.target_box[3:])
 

@@ -1,7 +1,5 @@
 """Controls on the viewer's page."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from html import escape
@@ -63,7 +61,7 @@ class Controls:
 
     def __init__(
         self,
-        server: viser.ViserServer,
+        server: "viser.ViserServer",
         subject: Subject,
         view: View,
         on_change: Callable[[], None],

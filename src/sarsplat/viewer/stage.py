@@ -1,7 +1,5 @@
 """3D scene of the page: the target, a dome with all views, the radar, and the image on its plane below."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
@@ -45,7 +43,7 @@ class Stage:
 
     def __init__(
         self,
-        server: viser.ViserServer,
+        server: "viser.ViserServer",
         box_m: tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]],
         views: list[tuple[View, str]],
         first: View,
@@ -97,11 +95,11 @@ class Stage:
         down = 0.25 if aspect > _PHONE else -0.3 * _ROOM / aspect
         return self._foot + distance * self._aside, self._foot + np.array([0, 0, down * self._radius])
 
-    def _fit(self, client: viser.ClientHandle) -> None:
+    def _fit(self, client: "viser.ClientHandle") -> None:
         client.camera.position, client.camera.look_at = self._camera(client.camera.aspect)
 
         @client.camera.on_update
-        def moved(camera: viser.CameraHandle) -> None:  # the last one counts if several browsers are open
+        def moved(camera: "viser.CameraHandle") -> None:  # the last one counts if several browsers are open
             self._eye = np.array(camera.position)
             self._redraw_ground()
 
