@@ -38,7 +38,7 @@ def one(path: str, preset_name: str, tiles: int) -> dict[str, Any]:
     from sarsplat import preset, read_dataset, reconstruct
     from sarsplat.evaluation import Yardstick, visible_surface
     from sarsplat.evaluation.images import psnr_db
-    from sarsplat.evaluation.points import surface_distance, thin
+    from sarsplat.evaluation.points import first_of_voxels, surface_distance
     from sarsplat.evaluation.surface import read_truth_mesh
     from sarsplat.settings.sections import FlatGround
 
@@ -75,7 +75,7 @@ def one(path: str, preset_name: str, tiles: int) -> dict[str, Any]:
     assert dataset.truth_mesh is not None, f"{path} has no true mesh"
     mesh, views = read_truth_mesh(dataset.truth_mesh), dataset.select("train").views
     surface = visible_surface(mesh, views, COARSER * yardstick.ray_spacing_m, samples=SAMPLES)
-    points = thin(seen, yardstick.voxel_m)
+    points = seen[first_of_voxels(seen, yardstick.voxel_m)].astype(np.float64)
     to_points = cKDTree(points).query(surface.samples)[0]
     chance = np.random.default_rng(0)
 

@@ -50,15 +50,7 @@ class _Measured:
 
 @dataclass(frozen=True)
 class MeasuredChips:
-    """Summary of written chips.
-
-    Attributes
-    ----------
-    counts : dict of (str, str) to int
-        Number of chips by split and class.
-    size : (int, int)
-        Rows and columns of a chip.
-    """
+    """Numbers of written chips by split and class, and rows and columns of a chip."""
 
     counts: dict[tuple[str, str], int]
     size: tuple[int, int]

@@ -25,30 +25,13 @@ _MAX_GAUSSIANS = 1e7
 
 @checks_arguments
 def surface_gaussians(mesh: Trimesh, size: float) -> tuple[Gaussians, Int[np.ndarray, " n"]]:
-    """Cover a mesh's surface with flat Gaussians.
+    """Cover a mesh's surface, m, with flat Gaussians; return them, float32, and the face of each, int64 [N].
 
-    Every triangle is bisected until its edges are no longer than `size`. Each piece becomes a Gaussian with its centre
-    and second moments, widened by a constant factor so that neighbours overlap. The mean optical depth of every piece
-    is the same, so that the surface is opaque from all sides.
-
-    Parameters
-    ----------
-    mesh : trimesh.Trimesh
-        Surface, m.
-    size : float
-        Longest edge of a piece, m; standard deviations are at most 0.29 of it.
-
-    Returns
-    -------
-    Gaussians
-        float32; harmonics and p_min are zero: γ⁰ is given per view (`law_scattering`).
-    numpy.ndarray, int64 [N]
-        Face of each Gaussian.
-
-    Raises
-    ------
-    SarsplatError
-        If `size` is not positive, the mesh has no area, or that would take too many Gaussians.
+    Every triangle is bisected until its edges are no longer than `size`, m. Each piece becomes a Gaussian with its
+    centre and second moments, widened by a constant factor so that neighbours overlap: standard deviations are at most
+    0.29 of `size`. The mean optical depth of every piece is the same, so that the surface is opaque from all sides.
+    Harmonics and p_min are zero: γ⁰ is given per view (`law_scattering`). Raise if `size` is not positive, the mesh has
+    no area, or that would take too many Gaussians.
     """
     check_number("size", size, 0, above=True)
     check_number("the mesh's area in m²", mesh.area, 0, above=True)
@@ -101,21 +84,9 @@ def _bisected(
 def law_scattering(
     normals: Float[np.ndarray, "n 3"] | Sequence[Sequence[float]], views: Sequence[View], law: ScatteringLaw
 ) -> Float64[np.ndarray, "v n"]:
-    """Return γ⁰ of surface points in every view, two-sided.
+    """Return γ⁰ of surface points with unit normals [N, 3] in every view, two-sided, linear, float64 [V, N].
 
-    Parameters
-    ----------
-    normals : numpy.ndarray [N, 3], or a list
-        Unit normals, world frame.
-    views : sequence of View
-        V views.
-    law : ScatteringLaw
-        γ⁰ against incidence angle.
-
-    Returns
-    -------
-    numpy.ndarray, float64 [V, N]
-        γ⁰, linear: the amplitudes to pass to the renderer.
+    These are the amplitudes to pass to the renderer.
     """
     normals = np.asarray(normals, dtype=np.float64)
     facing = np.array([view.look.facing for view in views]).reshape(-1, 3)

@@ -17,26 +17,11 @@ _LARGEST_M = 10_000.0  # maximum side of a village
 
 @checks_arguments
 def village(side_m: float = 123.0, seed: int = 0, edge_m: float = 1.0) -> Trimesh:
-    """Build a village of any size, the same for the same seed.
+    """Build a village of any size, the same for the same seed: m, z up, ground at z = 0, centred on the origin.
 
-    Parameters
-    ----------
-    side_m : float
-        Side of its square, m; one house on each lot of 18 m × 18 m, of which some are empty.
-    seed : int
-        Seed of houses and lots, at least 0.
-    edge_m : float
-        Faces are divided until no edge is longer, m.
-
-    Returns
-    -------
-    trimesh.Trimesh
-        Metres, z up, ground at z = 0, the middle of the square at the origin.
-
-    Raises
-    ------
-    SarsplatError
-        If a length is not positive, the side exceeds 10 km, or the seed is negative.
+    `side_m` is the side of its square, with one house on each lot of 18 m × 18 m, of which some are empty; faces are
+    divided until no edge is longer than `edge_m`. Raise if a length is not positive, the side exceeds 10 km, or the
+    seed is negative.
     """
     import trimesh
 

@@ -68,19 +68,10 @@ class Response(ABC):
         return float(distance[own]) if own < len(distance) else math.inf
 
     def density(self, distance: Float64[np.ndarray, "*n"], variance: float = 1 / _RATIO) -> Float64[np.ndarray, "*n"]:
-        """Evaluate |h|² at distances from the peak, with integral 1, so that it preserves cross-sections.
+        """Evaluate |h|², power per unit of distance, float64 [*n]; with integral 1, it preserves cross-sections.
 
-        Parameters
-        ----------
-        distance : numpy.ndarray, float64 [*n]
-            Distances in any unit; in 3 dB widths unless a variance is given.
-        variance : float
-            Variance of the Gaussian of the same 3 dB width, in that unit squared.
-
-        Returns
-        -------
-        numpy.ndarray, float64 [*n]
-            Power per unit of distance.
+        Distances from the peak, float64 [*n], are in 3 dB widths; or in any unit with the `variance`, in that unit
+        squared, of the Gaussian of the same 3 dB width.
         """
         places, power, _ = self._lobes
         area = ((power[1:] + power[:-1]) * np.diff(places)).sum()

@@ -112,11 +112,8 @@ class GroundBouncePart(Part):
         def later(done: float) -> float:
             return late(done) if done >= self.config.law_from else 0.0  # not before the shape is known
 
-        return {"ground_reflectivity": Learned((1,), (self.config.rates.nuisance,), later, 0.0, 1.0)}
-
-    def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
-        start = torch.full((1,), self.settings.reflectivity, dtype=torch.float32, device="cpu")
-        return {"ground_reflectivity": start}
+        rates, start = (self.config.rates.nuisance,), self.settings.reflectivity
+        return {"ground_reflectivity": Learned((1,), rates, later, 0.0, 1.0, start=start)}
 
     def echoes(self, p: Parameters) -> tuple[Echo, ...]:
         reflectivity = p["ground_reflectivity"][0]

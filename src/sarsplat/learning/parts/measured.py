@@ -9,7 +9,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from sarsplat.data import Dataset
 from sarsplat.geometry import ImageGrid
 from sarsplat.geometry.responses import GAUSSIAN, TAYLOR, Response
 from sarsplat.learning.parts.part import Learned, Parameters, Part, Shot, drawn_like, normal_nats
@@ -30,9 +29,6 @@ class Shifts(Part):
     def learned(self) -> dict[str, Learned]:
         rate = self.config.rates.shift * self.frame.cell_m if self.settings.shift_std else 0.0
         return {"shift": Learned((len(self.frame.views), 2), (rate,))}
-
-    def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
-        return {"shift": torch.zeros(len(train), 2, dtype=torch.float32, device="cpu")}
 
     def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
         if self.settings.shift_std:
@@ -64,9 +60,6 @@ class Gains(Part):
     def learned(self) -> dict[str, Learned]:
         rate = self.config.rates.nuisance if self.settings.gain_std else 0.0
         return {"log_gain": Learned((len(self.frame.views),), (rate,))}
-
-    def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
-        return {"log_gain": torch.zeros(len(train), dtype=torch.float32, device="cpu")}
 
     def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
         if self.settings.gain_std:
@@ -102,10 +95,7 @@ class NoiseFloor(Part):
 
     @property
     def learned(self) -> dict[str, Learned]:
-        return {"noise": Learned((1,), (self.config.rates.nuisance,))}
-
-    def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
-        return {"noise": torch.full((1,), math.log(self.settings.noise_floor), dtype=torch.float32, device="cpu")}
+        return {"noise": Learned((1,), (self.config.rates.nuisance,), start=math.log(self.settings.noise_floor))}
 
     def images(self, images: Float[Tensor, "v c h w"], shot: Shot, p: Parameters) -> Float[Tensor, "v c h w"]:
         floor = p["noise"].exp()
@@ -128,12 +118,8 @@ class SideLobes(Part):
 
     @property
     def learned(self) -> dict[str, Learned]:
-        return {"log_side_lobes": Learned((2,), (self.config.rates.nuisance,))}
-
-    def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
-        return {
-            "log_side_lobes": torch.full((2,), math.log(self.settings.side_lobes), dtype=torch.float32, device="cpu")
-        }
+        rates, start = (self.config.rates.nuisance,), math.log(self.settings.side_lobes)
+        return {"log_side_lobes": Learned((2,), rates, start=start)}
 
     def images(self, images: Float[Tensor, "v c h w"], shot: Shot, p: Parameters) -> Float[Tensor, "v c h w"]:
         return with_side_lobes(images.flatten(0, 1), p["log_side_lobes"].exp(), shot.grid).view_as(images)

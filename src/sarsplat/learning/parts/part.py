@@ -42,6 +42,8 @@ class Learned:
     high: Tensor | float = torch.inf
     logarithmic: bool = False
     """True if steps change its logarithm: it is positive."""
+    start: float = 0.0
+    """Initial value, unless the part computes it (`Part.initial`)."""
 
     @property
     def per_gaussian(self) -> bool:
@@ -108,7 +110,10 @@ class Part(ABC):
 
     def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
         """Initial parameters, float32 on the CPU, as is `generator`: a seed is the same on every device."""
-        return {}
+        return {
+            name: torch.full([size or 0 for size in how.shape], how.start, dtype=torch.float32, device="cpu")
+            for name, how in self.learned.items()
+        }
 
     def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
         """Negative log priors of its parameters, nats."""

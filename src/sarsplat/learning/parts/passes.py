@@ -26,11 +26,8 @@ class PassNoise(Part):
     def learned(self) -> dict[str, Learned]:
         if self._known is not None:
             return {}
-        return {"pass_noise": Learned(self._shape, (self.config.rates.nuisance,))}
-
-    def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
-        start = torch.full(self._shape, math.log(self.settings.noise), dtype=torch.float32, device="cpu")
-        return dict.fromkeys(self.learned, start)
+        shape = len(self.frame.stacks), len(self.frame.stacks[0])
+        return {"pass_noise": Learned(shape, (self.config.rates.nuisance,), start=math.log(self.settings.noise))}
 
     def of_passes(self, p: Parameters) -> Float[Tensor, "v passes"]:
         """Noise power of the passes of each training image, in the model's unit."""
@@ -44,10 +41,6 @@ class PassNoise(Part):
         """Noise power; for unseen images the mean over all passes, as in `images`."""
         noise = self.of_passes(p)
         return noise.mean().expand(1, 1) if shot.numbers is None else noise[shot.numbers]
-
-    @property
-    def _shape(self) -> tuple[int, int]:
-        return len(self.frame.stacks), len(self.frame.stacks[0])
 
     @property
     def _known(self) -> Float[Tensor, "v passes"] | None:

@@ -25,16 +25,9 @@ from sarsplat.renderer.rendering import RayMap
 class RayEnds:
     """T_end of the rays of all views, row by row, one view after the other.
 
-    For `ChosenViews`, sizes and origins are those of all candidates, and each of the V views has equally many rays.
-
-    Parameters
-    ----------
-    transmittance : Tensor [R]
-        Two-way transmittance behind all Gaussians.
-    sizes : sequence of (rows, columns), one per view
-        Sizes of the views' lattices.
-    origins : sequence of (x_r, y_r), one per view
-        Positions of their first rays, m.
+    `transmittance` [R] is the two-way one behind all Gaussians; of each view, `sizes` are rows and columns of its
+    lattice, and `origins` the position (x_r, y_r) of its first ray, m. For `ChosenViews`, sizes and origins are
+    those of all candidates, and each of the V views has equally many rays.
     """
 
     transmittance: Float[Tensor, " rays"]
