@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.extras import install_command
+from sarsplat.extras import needed
 
 if TYPE_CHECKING:
     from matplotlib.colors import Colormap
@@ -123,10 +123,8 @@ def ramp(name: str) -> Palette:
     if name in _LISTED:
         steps = np.frombuffer(zlib.decompress(base64.b85decode(_LISTED[name])), np.uint8).reshape(3, 256)
         return np.concatenate([np.cumsum(steps, axis=1, dtype=np.uint8), np.full((1, 256), 255, np.uint8)]).T.copy()
-    try:
+    with needed("report", f"the colour map {shown(name)}"):
         from matplotlib import colormaps
-    except ImportError as error:
-        raise SarsplatError(f"colours need matplotlib, which is not installed; {install_command('report')}") from error
     if name not in colormaps:
         raise SarsplatError(
             f"there is no colour map {shown(name)}; choose gray, viridis, magma, cividis, turbo or another from "

@@ -1,6 +1,10 @@
 """Installed packages: versions, and optional dependencies (extras) with the types that annotations need of them."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, NewType
+
+from sarsplat.errors import SarsplatError
 
 if TYPE_CHECKING:
     from trimesh import Trimesh as Trimesh
@@ -50,6 +54,16 @@ def install_command(extra: str) -> str:
     if installed_version("sarsplat") is None:
         return f"install it with: pip install {' '.join(EXTRAS[extra].values())}"
     return f"install it with: pip install 'sarsplat[{extra}]'"
+
+
+@contextmanager
+def needed(extra: str, purpose: str) -> Iterator[None]:
+    """Raise with the way to install an extra, which a purpose needs, if a package imported inside is missing."""
+    try:
+        yield
+    except ImportError as error:
+        package = _DISTRIBUTIONS.get(error.name or extra, error.name or extra)
+        raise SarsplatError(f"{purpose} needs {package}, which is not installed; {install_command(extra)}") from error
 
 
 def installed_version(distribution: str) -> str | None:

@@ -13,7 +13,7 @@ from torch.nn import functional
 from torch.nn.utils import skip_init
 
 from sarsplat.errors import SarsplatError
-from sarsplat.extras import install_command
+from sarsplat.extras import needed
 from sarsplat.gaussians.law_harmonics import harmonic_basis
 from sarsplat.geometry import ImageGrid, View
 
@@ -183,12 +183,8 @@ def isosurface(
     cubic voxels along its longest side. Returns vertices [N, 3], m, and faces [F, 3], counter-clockwise seen from low
     values; both are empty if no value or every value reaches the level.
     """
-    try:
+    with needed("mesh", "a surface"):
         from skimage.measure import marching_cubes
-    except ImportError as error:
-        raise SarsplatError(
-            f"a surface needs {error.name}, which is not installed; {install_command('mesh')}"
-        ) from error
     voxel = float((high_m - low_m).max()) / longest
     shape = np.maximum(1, np.ceil((high_m - low_m) / voxel - 0.5 - 1e-9)).astype(int)  # centres lie in the box
     x, y, z = (torch.from_numpy(low + (np.arange(n) + 0.5) * voxel).to(like) for low, n in zip(low_m, shape))

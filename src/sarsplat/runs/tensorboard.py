@@ -12,8 +12,7 @@ from jaxtyping import Float32
 from sarsplat.arguments import checks_arguments
 from sarsplat.data import Dataset
 from sarsplat.data.files import plain_os_errors
-from sarsplat.errors import SarsplatError
-from sarsplat.extras import install_command
+from sarsplat.extras import needed
 from sarsplat.radiometry import LEAST_POWER, shade, white_level
 from sarsplat.runs.run_folder import HEADER, LogLine
 from sarsplat.runs.training_loop import Step
@@ -139,10 +138,8 @@ class TensorBoard:
 
 
 def _writer_class() -> "type[SummaryWriter]":
-    try:
+    with needed("tensorboard", "a log for TensorBoard"):
         from torch.utils.tensorboard import SummaryWriter
-    except ImportError as error:
-        raise SarsplatError(f"a log for TensorBoard needs tensorboard; {install_command('tensorboard')}") from error
     return SummaryWriter
 
 

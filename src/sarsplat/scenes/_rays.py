@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float64, Int32, Int64
 
 from sarsplat.errors import SarsplatError
-from sarsplat.extras import Trimesh, install_command
+from sarsplat.extras import Trimesh, needed
 from sarsplat.geometry import View
 from sarsplat.scenes._patches import Patches, entered_cells
 
@@ -120,11 +120,9 @@ def embree_scene(
     vertices: Float64[np.ndarray, "v 3"], faces: Int32[np.ndarray, "f 3"]
 ) -> tuple[EmbreeScene, Float64[np.ndarray, " 3"]]:
     """Make a scene of a mesh for rays, and return its origin, the middle of the mesh; needs embreex."""
-    try:
+    with needed("simulate", "ray casting"):
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
-    except ImportError as error:
-        raise SarsplatError(f"ray casting needs embreex; {install_command('simulate')}") from error
     center = (vertices.min(axis=0) + vertices.max(axis=0)) / 2  # float32 keeps the most digits around zero
     scene = EmbreeScene(robust=True)  # watertight along shared edges
     TriangleMesh(scene=scene, vertices=(vertices - center).astype(np.float32), indices=faces)

@@ -10,8 +10,8 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from sarsplat.errors import SarsplatError, counted
-from sarsplat.extras import install_command
+from sarsplat.errors import counted
+from sarsplat.extras import needed
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.surface.cells import numbered
 
@@ -26,10 +26,8 @@ _NAMED = 3  # maximum number of clusters whose places a note names
 
 def largest(points: Float64[np.ndarray, "p 3"], radius: float, size: int) -> Bool[np.ndarray, " p"]:
     """Return the mask of the largest DBSCAN cluster; all False without clusters."""
-    try:
+    with needed("evaluate", "cleaning the point cloud"):
         from sklearn.cluster import DBSCAN
-    except ImportError as error:
-        raise SarsplatError(f"cleaning the point cloud needs scikit-learn; {install_command('evaluate')}") from error
     if len(points) == 0:
         return np.zeros(0, bool)
     # DBSCAN on weighted centroids of cubes: a dense cloud has hundreds of neighbours per point

@@ -21,8 +21,7 @@ from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from sarsplat.errors import SarsplatError
-from sarsplat.extras import Trimesh, install_command
+from sarsplat.extras import Trimesh, needed
 from sarsplat.progress import stage
 from sarsplat.radiometry import shade
 from sarsplat.surface import cells
@@ -59,11 +58,9 @@ def surface_mesh(points: Real[np.ndarray, "p 3"], normals: Real[np.ndarray, "p 3
     area and 1.5 square units are left out, and faces that the radar would have seen from behind. Raises without
     scikit-image or trimesh.
     """
-    try:
+    with needed("mesh", "a mesh"):
         import trimesh
         from skimage.measure import marching_cubes
-    except ImportError as error:
-        raise SarsplatError(f"a mesh needs {error.name}, which is not installed; {install_command('mesh')}") from error
     vertices, faces, vertex_normals = np.empty((0, 3)), np.empty((0, 3), np.int64), None
     with stage("surface: mesh", 100) as shown:
         if len(points):
