@@ -11,20 +11,35 @@ import pytest
 import torch
 from PIL import Image
 
-from made import dataset_of, upright
+from made import FEW_POINTS, dataset_of, upright
 from made_runs import made_up
-from sarsplat import Dataset, ImageGrid, Run, SarsplatError, SarsplatWarning, View, locate, write_dataset
+from sarsplat import (
+    Dataset,
+    ImageGrid,
+    Run,
+    SarsplatError,
+    SarsplatWarning,
+    View,
+    import_mstar,
+    locate,
+    preset,
+    reconstruct,
+    write_dataset,
+)
 from sarsplat.recognition import Calibration, Located
 
+MSTAR = Path(__file__).resolve().parents[3] / "shared" / "data" / "mstar"
+
 GRID = ImageGrid(44, 40, (0.3, 0.3), (0.4, 0.4))
+ROW = np.arange(-2.25, 2.3, 0.75)
 PARTS = {
-    "long": [(-2.0, 0.0, 0.4), (-1.0, 0.0, 0.4), (0.0, 0.0, 0.4), (1.0, 0.0, 0.4), (2.0, 0.0, 1.2)],
-    "angle": [(-1.0, -1.0, 0.4), (0.0, -1.0, 0.4), (1.0, -1.0, 0.4), (1.0, 0.0, 0.4), (1.0, 1.0, 0.4)],
-    "pair": [(-1.5, 0.0, 0.4), (1.5, 0.0, 0.4)],
+    "long": [*((x, 0.0, 0.4) for x in ROW), *((2.25, y, 0.9) for y in (-1.5, -0.75, 0.75, 1.5))],
+    "angle": [*((x, -1.5, 0.4) for x in ROW), *((2.25, y, 0.4) for y in ROW[2:])],
+    "pair": [(x, y, 0.4) for x in (-2.25, -1.5, 1.5, 2.25) for y in (-0.75, 0.0, 0.75)],
 }
 """Positions of the Gaussians of each target, m; the pair looks the same from the opposite side."""
 
-QUICK = {"step_deg": 10.0, "window_m": 8.4}
+QUICK = {"step_deg": 6.0, "window_m": 8.4}
 
 
 def run_of(name: str) -> Run:
@@ -73,8 +88,8 @@ def test_class_azimuth_displacement_and_gain(located: Located) -> None:
     assert located.scores()["accuracy"] >= 0.95
     unique = np.array([chip.target != "pair" for chip in located.chips])
     errors = np.abs(located.azimuth_errors_deg[unique])
-    assert np.median(errors) < 2
-    assert errors.max() < 12
+    assert np.median(errors) < 3
+    assert errors.max() < 20
     own = located.labels[:, None]
     assert np.abs(np.take_along_axis(located.gain_db, own, 1) - 20).max() < 3
     shifts = np.take_along_axis(located.shift_m, own[..., None], 1)[:, 0]
@@ -84,8 +99,8 @@ def test_class_azimuth_displacement_and_gain(located: Located) -> None:
 def test_a_target_that_looks_the_same_from_behind_may_be_reversed(located: Located) -> None:
     reversed_odds = np.take_along_axis(located.reversed_odds, located.labels[:, None], 1)[:, 0]
     pair = np.array([chip.target == "pair" for chip in located.chips])
-    assert reversed_odds[pair].min() > 0.2
-    assert reversed_odds[~pair].max() < 0.2
+    assert reversed_odds[pair].min() > 0.4
+    assert np.median(reversed_odds[~pair]) < 0.25
     assert located.scores()["azimuth within one standard deviation"] > 0.4
 
 
@@ -118,6 +133,7 @@ def test_images_to_be_located_do_not_calibrate(runs: dict[str, Run], images: lis
     every, tested = [*runs.values()], [one.take([0, 1]) for one in images]
     calibrated = locate(every, tested, calibrate=images, **QUICK)
     assert calibrated.calibration.images == 3 * 6
+    assert 1 < calibrated.calibration.temperature < 4  # models are exact, and speckle is white
     assert calibrated.rows()[0]["calibrated"] == "yes"
     for nothing, sentence in (
         (tested, "`calibrate` has no image of these classes"),
@@ -128,8 +144,8 @@ def test_images_to_be_located_do_not_calibrate(runs: dict[str, Run], images: lis
     calibrated.calibration.write(tmp_path / "c.json")
     again = locate(every, tested, calibrate=tmp_path / "c.json", **QUICK)
     np.testing.assert_array_equal(again.odds, calibrated.odds)
-    with pytest.raises(SarsplatError, match=r"c\.json was made with .*'step_deg': 10\.0.*, not .*'step_deg': 6\.0"):
-        locate(every, tested, calibrate=tmp_path / "c.json", step_deg=6, window_m=8.4)
+    with pytest.raises(SarsplatError, match=r"c\.json was made with .*'step_deg': 6\.0.*, not .*'step_deg': 12\.0"):
+        locate(every, tested, calibrate=tmp_path / "c.json", step_deg=12, window_m=8.4)
 
 
 def test_fitted_odds_are_true() -> None:
@@ -199,6 +215,22 @@ def test_grazing_angles_far_from_the_trainings_are_warned_of(runs: dict[str, Run
         locate([*runs.values()], images[0].take([0]), grazing_deg=45.0, **QUICK)
     with pytest.raises(SarsplatError, match="000 is black; leave it out"):
         locate([*runs.values()], replace(images[0].take([0]), power=np.zeros((1, 44, 40), np.float32)))
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::sarsplat.errors.SarsplatWarning")
+@pytest.mark.skipif(not MSTAR.is_dir(), reason="needs the MSTAR chips in ../shared/data")
+def test_mstar_chips(tmp_path: Path) -> None:
+    few = {"iterations": 100, "gaussians": 3000, "fewest_gaussians": 3000, "points": FEW_POINTS}
+    runs, images = [], []
+    for name in ("T72", "BMP2"):
+        chosen = {"labels": MSTAR / "labels.csv", "target_class": name, "train_views": 12}
+        dataset = import_mstar(MSTAR, tmp_path / name, **chosen)
+        runs.append(reconstruct(dataset, replace(preset("measured"), **few), quiet=True))
+        images.append(dataset.select("test-15").take([*range(0, 190, 19)]))
+    scores = locate(runs, images).scores()
+    assert scores["accuracy"] >= 0.85
+    assert scores["median azimuth error, °"] < 2
 
 
 def test_table_and_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -61,11 +61,6 @@ def chips_of(
             found += _of_pictures(Path(one), grazing_deg, near, like)
     if not found:
         raise SarsplatError(f"there are no images of the set {split or 'test'} to locate; give others, or another set")
-    for chip in found:
-        if (chip.grid.spacing_m, chip.grid.resolution_m) != (found[0].grid.spacing_m, found[0].grid.resolution_m):
-            raise SarsplatError(f"{chip.name} has pixels of another size than {found[0].name}; locate them separately")
-        if not chip.power.any():
-            raise SarsplatError(f"{chip.name} is black; leave it out")
     return found
 
 
@@ -100,6 +95,15 @@ def _of_pictures(folder: Path, grazing_deg: float | None, near: Side, like: Run)
         values = read_values(path, None, 1.0, 0.0).image
         power = oriented(power_of(values) if np.iscomplexobj(values) else values, near)
         yield Chip(path.name, power, replace(like.grid, rows=power.shape[0], columns=power.shape[1]), view)
+
+
+def require_comparable(chips: Sequence[Chip]) -> None:
+    """Raise if an image is black, or its pixels differ from those of the others."""
+    for chip in chips:
+        if (chip.grid.spacing_m, chip.grid.resolution_m) != (chips[0].grid.spacing_m, chips[0].grid.resolution_m):
+            raise SarsplatError(f"{chip.name} has pixels of another size than {chips[0].name}; locate them separately")
+        if not chip.power.any():
+            raise SarsplatError(f"{chip.name} is black; leave it out")
 
 
 def most_per_target(chips: Sequence[Chip], count: int) -> list[Chip]:

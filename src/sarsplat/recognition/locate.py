@@ -19,13 +19,12 @@ from sarsplat.memory import required
 from sarsplat.names import Side
 from sarsplat.progress import Reporter, progress
 from sarsplat.radiometry import to_db
-from sarsplat.recognition.chips import Chip, chips_of, most_per_target
+from sarsplat.recognition.chips import Chip, chips_of, most_per_target, require_comparable
 from sarsplat.recognition.located import Located
 from sarsplat.recognition.matching import Match, Matcher
 from sarsplat.recognition.odds import TEMPERATURE, Calibration
 from sarsplat.recognition.templates import grid_for, templates, window_around
 from sarsplat.runs import Run
-from sarsplat.runs.run_folder import names_of
 from sarsplat.samples.chip_set import target_of
 
 _LABELLED = 24
@@ -60,8 +59,7 @@ def locate(
     """Find class and azimuth of images: each is compared with every run, rendered from all azimuths.
 
     An image's gain is free, and its target may be displaced by up to three resolution cells. The class is always one of
-    the runs': unknown classes are not rejected. The result depends neither on the order of images or runs nor on the
-    number of threads.
+    the runs'. Neither the order of images and runs nor the number of threads changes the result.
 
     Parameters
     ----------
@@ -69,8 +67,8 @@ def locate(
         Runs, or their folders. The class of a run is the target of its dataset, or else the name of its folder; runs of
         one class are alternatives.
     images : Dataset, path, or sequence of these
-        Datasets, whose azimuths and targets count as labels only, with their images without azimuth; folders of
-        datasets; or folders of pictures with the runs' pixels.
+        Datasets, whose azimuths and targets count as labels only, with their images without azimuth; folders of these;
+        or folders of pictures with the runs' pixels.
     calibrate : path, or sequence of Dataset or path
         Labelled datasets of all classes, of which up to 24 images a class calibrate the odds, except those in `images`;
         or the JSON file that `Calibration.write` made.
@@ -98,8 +96,8 @@ def locate(
     Raises
     ------
     SarsplatError
-        If there are no runs or images, one cannot be read, pixels differ, images are too small, a class has no image to
-        calibrate with, or an option is out of range.
+        If there are no runs or images, pixels differ, images are too small, a class has no image to calibrate with, or
+        an option is out of range.
 
     Warns
     -----
@@ -115,7 +113,8 @@ def locate(
     opened = [run if isinstance(run, Run) else Run.load(run) for run in runs]
     opened.sort(key=lambda run: (target_of(run), run.fingerprint, str(run.path)))
     settings: dict[str, Any] = {"ground": ground, "step_deg": float(step_deg), "window_m": window_m}
-    calibration = Calibration(runs=dict(zip(_names(opened), map(target_of, opened), strict=True)), settings=settings)
+    named = {f"{k} {run.path.name if run.path else 'in memory'}": target_of(run) for k, run in enumerate(opened)}
+    calibration = Calibration(runs=named, settings=settings)
     sources = _listed(calibrate)
     chips = chips_of(_listed(images), split, grazing_deg, near, opened[0])
     labelled: list[Chip] = []
@@ -129,6 +128,7 @@ def locate(
             raise SarsplatError("`calibrate` has no image of these classes, besides those to be located; give some")
         labelled = most_per_target(known, _LABELLED)
     every = [*labelled, *chips]
+    require_comparable(every)
     _warn_of_far_angles(opened, every)
     azimuths = np.arange(round(360 / step_deg)) * float(step_deg)
     with progress("locate", len(every) + len({chip.view for chip in every}) * len(opened), quiet) as shows:
@@ -173,10 +173,8 @@ def _assembled(
     runs: Sequence[Run], chips: Sequence[Chip], matches: Sequence[tuple[Match, float]], calibration: Calibration
 ) -> Located:
     """Return the result for images, given their matches with the runs: each class has its most likely run."""
-    targets = [target_of(run) for run in runs]
-    samples = np.array([samples for _, samples in matches])
-    nats = np.stack([match.nats for match, _ in matches])
-    of_class = [[k for k, target in enumerate(targets) if target == name] for name in calibration.classes]
+    samples, nats = np.array([samples for _, samples in matches]), np.stack([match.nats for match, _ in matches])
+    of_class = [[k for k, run in enumerate(runs) if target_of(run) == name] for name in calibration.classes]
     best = np.stack([np.take(own, nats[:, own].argmin(axis=1)) for own in of_class], axis=1)
 
     def chosen(name: str) -> Any:
@@ -203,13 +201,6 @@ def _assembled(
 
 def _listed(images: Dataset | str | Path | Sequence[Dataset | str | Path]) -> list[Dataset | str | Path]:
     return [images] if isinstance(images, Dataset | str | Path) else [*images]
-
-
-def _names(runs: Sequence[Run]) -> list[str]:
-    """Return names of runs; those in memory by class and number."""
-    folders = [run.path for run in runs if run.path is not None]
-    named = dict(zip(folders, names_of(folders), strict=True))
-    return [f"{target_of(run)} {k}" if run.path is None else named[run.path] for k, run in enumerate(runs)]
 
 
 def _digest(chip: Chip) -> bytes:

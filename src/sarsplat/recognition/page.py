@@ -36,7 +36,7 @@ def write_page(located: Located, path: Path) -> None:
     html = rendered(
         "located.html.j2",
         target=in_words(located.classes),
-        lead=f"{counted(len(located), 'image')} compared with renderings of {in_words(calibration.runs)}.",
+        lead=f"{counted(len(located), 'image')} compared with renderings of {counted(len(located.runs), 'run')}.",
         calibrated=calibration.images,
         odds=f"temperature {calibration.temperature:.3g}; biases, nats per pixel: {bias or 'none'}",
         settings=", ".join(f"{name} {value}" for name, value in calibration.settings.items() if value is not None),
