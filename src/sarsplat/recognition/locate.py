@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
@@ -121,9 +120,9 @@ def locate(
     if len(sources) == 1 and not isinstance(sources[0], Dataset) and Path(sources[0]).suffix == ".json":
         calibration = calibration.read(Path(sources[0]))
     elif sources:
-        located = {_digest(chip) for chip in chips}
+        located = {chip.power.tobytes() for chip in chips}
         others = chips_of(sources, None, grazing_deg, near, opened[0])
-        known = [one for one in others if one.target in calibration.classes and _digest(one) not in located]
+        known = [one for one in others if one.target in calibration.classes and one.power.tobytes() not in located]
         if not known:
             raise SarsplatError("`calibrate` has no image of these classes, besides those to be located; give some")
         labelled = most_per_target(known, _LABELLED)
@@ -201,10 +200,6 @@ def _assembled(
 
 def _listed(images: Dataset | str | Path | Sequence[Dataset | str | Path]) -> list[Dataset | str | Path]:
     return [images] if isinstance(images, Dataset | str | Path) else [*images]
-
-
-def _digest(chip: Chip) -> bytes:
-    return hashlib.sha256(np.ascontiguousarray(chip.power)).digest()
 
 
 def _warn_of_far_angles(runs: Sequence[Run], chips: Sequence[Chip]) -> None:

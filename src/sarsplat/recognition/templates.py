@@ -92,7 +92,7 @@ def _extents_m(runs: Sequence[Run], view: View) -> list[tuple[float, float]]:
     views = [replace(view, azimuth_deg=360 * k / _MASKS) for k in range(_MASKS)]
     ends: list[list[float]] = [[], []]
     for run in runs:
-        grid, shown = run.grid, (run.masks(views) > 0).any(axis=0)
+        grid, shown = run.grid, run.masks(views).max(axis=0)
         for axis, places in enumerate((grid.range_m, grid.azimuth_m)):
             within = places[shown.any(axis=1 - axis)]
             ends[axis] += [float(within.min()), float(within.max())] if len(within) else [0.0]
@@ -142,6 +142,7 @@ def _on_flat(run: Run, views: Sequence[View], grid: ImageGrid) -> Float32[np.nda
         shot = model.shot(views[first : first + _AT_A_TIME], grid)
         rendering = render(scene, shot.views, shot.grid, shift=shot.shift, **how)
         power = rendering.images[:, shot.power_channel]
+        assert rendering.ground is not None
         target = (power - rendering.ground).clamp(min=0) / power.clamp(min=torch.finfo(power.dtype).tiny)
         plain, textured = (model.developed(rendering.images, shot, estimated) for estimated in (False, True))
         both = plain + target[:, None] * (textured - plain)
