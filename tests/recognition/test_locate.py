@@ -239,8 +239,8 @@ def test_table_and_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     for name in ("box", "cone"):
         made_up(name, tmp_path / name)
     words = [str(tmp_path / name) for name in ("box", "cone", "box-data")]
-    out = tmp_path / "found.csv"
-    assert main(["locate", *words, "--out", str(out), "--step", "30", "--ground", "flat"]) == 0
+    out, more = tmp_path / "found.csv", ["--step", "30", "--ground", "flat"]
+    assert main(["locate", *words, "--out", str(out), *more]) == 0
     said = capsys.readouterr()
     assert "the odds are uncalibrated; give --calibrate" in " ".join(said.err.split())
     lines = out.read_text().splitlines()
@@ -252,7 +252,7 @@ def test_table_and_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert "Reliability" in page
     for change, sentence in (
         (["locate", *words, "--out", str(out)], "found.csv already exists"),
-        (["locate", *words[:2], "--out", str(tmp_path / "x.csv")], "names no images; give runs, then images"),
+        (["locate", *words[:2], "--out", str(tmp_path / "x.csv")], "there are no images of the set test to locate"),
         (["locate", *words, "--out", str(tmp_path / "x.txt")], "does not end in .csv"),
     ):
         assert main(change) == 2

@@ -9,7 +9,7 @@ import tyro
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import Metres, OptionalName, OptionalNumber, refuse_existing, require_ending
-from sarsplat.errors import SarsplatError, counted
+from sarsplat.errors import counted
 from sarsplat.names import Side
 
 
@@ -37,7 +37,7 @@ def locate(
         pixels. Classes and azimuths of datasets count as labels only. The class is always one of the runs'.
     out
         Table to write. Beside it are written a page of the same name, .html, that shows images beside the renderings
-        that explain them, and with --calibrate the calibration, .json.
+        that explain them, and of --calibrate LABELLED the calibration, .json.
     calibrate
         Labelled datasets of all classes by which odds are made true; images to be located are left out. Or the
         .json of an earlier call.
@@ -62,17 +62,14 @@ def locate(
     from sarsplat.runs.run_folder import HEADER
 
     require_ending("out", out, ".csv")
-    page, stored = out.with_suffix(".html"), out.with_suffix(".json")
-    for path in (out, page, *([stored] if calibrate else [])):
+    page = out.with_suffix(".html")
+    stored = [out.with_suffix(".json")] * any(path.suffix != ".json" for path in calibrate)
+    for path in (out, page, *stored):
         refuse_existing(path, overwrite)
     runs = [path for path in paths if (path / HEADER).is_file()]
-    images = [path for path in paths if path not in runs]
-    for given, name in ((runs, "run"), (images, "images")):
-        if not given:
-            raise SarsplatError(f"{' '.join(map(str, paths))} names no {name}; give runs, then images")
     located = recognition.locate(
         runs,
-        images,
+        [path for path in paths if path not in runs],
         calibrate=calibrate,
         split=split,
         grazing_deg=grazing,
@@ -84,8 +81,8 @@ def locate(
     )
     located.write_csv(out)
     write_page(located, page)
-    if calibrate:
-        located.calibration.write(stored)
+    for path in stored:
+        located.calibration.write(path)
     if scores := located.scores_in_words():
         console.facts("where labels are known", scores)
     if not located.calibration.images and len(located.classes) > 1:

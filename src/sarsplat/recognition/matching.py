@@ -2,7 +2,7 @@
 
 The score is the negative log-likelihood of exponential power I with mean gS for its best gain g = mean(I / S):
 log g + mean(log S) + 1, nats per pixel. The window is fixed in the image, and the template S is displaced. An image's
-result depends neither on other images nor on the number of threads: every product has a shape of its own.
+result depends neither on other images nor on the number of threads: products of matrices have a fixed shape.
 """
 
 from __future__ import annotations
@@ -36,30 +36,20 @@ _LEAST_CURVATURE = 1e-12
 
 @dataclass(frozen=True)
 class Match:
-    """Best match of an image with each of Q runs.
-
-    Attributes
-    ----------
-    nats : numpy.ndarray, float64 [Q]
-        Negative log-likelihood, nats per pixel, of the image divided by its mean in the window.
-    reversed_nats : numpy.ndarray, float64 [Q]
-        That of the best azimuth within 45° of the opposite one.
-    azimuth_deg : numpy.ndarray, float64 [Q]
-        Azimuth, degrees, in [0, 360).
-    curvature : numpy.ndarray, float64 [Q]
-        Second derivative of the nats per pixel with respect to azimuth, degrees⁻².
-    shift : numpy.ndarray, int64 [Q, 2]
-        Displacement of the target, pixels in range and azimuth.
-    gain : numpy.ndarray, float64 [Q]
-        Factor on the rendered power.
-    """
+    """Best match of an image with each of Q runs."""
 
     nats: Float64[np.ndarray, " q"]
+    """Negative log-likelihood, nats per pixel, of the image divided by its mean in the window."""
     reversed_nats: Float64[np.ndarray, " q"]
+    """That of the best azimuth within 45° of the opposite one."""
     azimuth_deg: Float64[np.ndarray, " q"]
+    """Azimuth, degrees, in [0, 360)."""
     curvature: Float64[np.ndarray, " q"]
+    """Second derivative of the nats per pixel with respect to azimuth, degrees⁻²."""
     shift: Int64[np.ndarray, "q 2"]
+    """Displacement of the target, pixels in range and azimuth."""
     gain: Float64[np.ndarray, " q"]
+    """Factor on the rendered power."""
 
 
 class Matcher:

@@ -72,8 +72,8 @@ def _block(located: Located, index: int) -> Block:
     shift = round(away_m / chip.grid.spacing_m[1]), round(across_m / chip.grid.spacing_m[0])
     image = np.roll(run.render([view], grid)[0], shift, (0, 1)) * from_db(located.gain_db[index, best])
     name, odds = located.classes[best], located.odds[index, best]
-    label = f"; labelled {chip.target}" if chip.target and chip.target != name else ""
-    label += "" if np.isnan(chip.azimuth_deg) else f", {chip.azimuth_deg:.1f}°"
+    labels = [chip.target] * (chip.target != name) + [f"{chip.azimuth_deg:.1f}°"] * (not np.isnan(chip.azimuth_deg))
+    label = f"; labelled {', '.join(filter(None, labels))}" if any(labels) else ""
     panels = []
     for title, power, pixels in ((chip.name, chip.power, chip.grid), (f"{name}, {view_name(view)}", image, grid)):
         part = Part.of(pixels, (slice(0, pixels.rows), slice(0, pixels.columns)), _LARGEST)

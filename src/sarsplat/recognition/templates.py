@@ -62,10 +62,7 @@ class Window:
 
 
 def window_around(runs: Sequence[Run], view: View, grids: Sequence[ImageGrid], size_m: float | None) -> Window:
-    """Return the window that holds the targets and shadows of all runs, or a square around the origin.
-
-    It is cut to what all grids show at any displacement.
-    """
+    """Return the window around the targets and shadows of all runs, or a square, cut to the smallest grid."""
     pixels = grids[0]
     steps = [
         max(1, round(_REACH_CELLS * width / spacing / COARSE))
@@ -96,7 +93,7 @@ def _extents_m(runs: Sequence[Run], view: View) -> list[tuple[float, float]]:
         for axis, places in enumerate((grid.range_m, grid.azimuth_m)):
             within = places[shown.any(axis=1 - axis)]
             ends[axis] += [float(within.min()), float(within.max())] if len(within) else [0.0]
-    margin = _MARGIN_CELLS * runs[0].grid.cell_m
+    margin = _MARGIN_CELLS * max(run.grid.cell_m for run in runs)
     return [(min(one) - margin, max(one) + margin) for one in ends]
 
 
