@@ -41,7 +41,7 @@ class Match:
     nats: Float64[np.ndarray, " q"]
     """Negative log-likelihood, nats per pixel, of the image divided by its mean in the window."""
     reversed_nats: Float64[np.ndarray, " q"]
-    """That of the best azimuth within 45° of the opposite one."""
+    """Nats of the best azimuth within 45° of the opposite one."""
     azimuth_deg: Float64[np.ndarray, " q"]
     """Azimuth, degrees, in [0, 360)."""
     curvature: Float64[np.ndarray, " q"]
