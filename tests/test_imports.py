@@ -33,7 +33,7 @@ ORDER = (
     ("evaluation",),
     ("samples", "exports"),
     ("report",),
-    ("viewer", "sweeps"),
+    ("viewer", "sweeps", "recognition"),
     ("cli",),
 )
 RANK = {folder: rank for rank, folders in enumerate(ORDER) for folder in folders}

@@ -52,6 +52,7 @@ from .importers import (
     read_phoenix as read_phoenix,
 )
 from .learning import LOSSES as LOSSES, Trainer as Trainer, stack_nats as stack_nats
+from .recognition import locate as locate
 from .renderer import (
     Attenuation as Attenuation,
     Footprints as Footprints,

@@ -15,7 +15,7 @@ Command = Callable[..., int | None]
 
 COMMANDS = (
     *("simulate", "import", "check", "reconstruct", "evaluate", "report", "compare", "sweep", "render", "chips"),
-    *("view", "export", "info", "doctor", "completion"),
+    *("locate", "view", "export", "info", "doctor", "completion"),
 )
 """Commands in the order of help: each is a function in the file of its name here; `import` has commands itself."""
 

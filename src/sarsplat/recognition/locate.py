@@ -1,0 +1,218 @@
+"""`locate`: class and azimuth of images by rendering runs from all azimuths."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from sarsplat.arguments import checks_arguments
+from sarsplat.data import Dataset
+from sarsplat.errors import SarsplatError, SarsplatWarning, shown
+from sarsplat.geometry import ImageGrid
+from sarsplat.memory import required
+from sarsplat.names import Side
+from sarsplat.progress import Reporter, progress
+from sarsplat.radiometry import to_db
+from sarsplat.recognition.chips import Chip, chips_of, most_per_target, require_comparable
+from sarsplat.recognition.located import Located
+from sarsplat.recognition.matching import Match, Matcher
+from sarsplat.recognition.odds import TEMPERATURE, Calibration
+from sarsplat.recognition.templates import grid_for, templates, window_around
+from sarsplat.runs import Run
+from sarsplat.samples.chip_set import target_of
+
+_LABELLED = 24
+"""Maximum number of images of a class by which odds are calibrated."""
+
+_FAR_DEG = 14.0
+"""Distance from the grazing angles of a training beyond which a warning is given."""
+
+_BYTES = 12
+"""Memory of a template, bytes per pixel."""
+
+_UNKNOWN_DEG = 104.0
+"""Standard deviation of an azimuth of which nothing is known, degrees."""
+
+_LARGEST_EXPONENT = 50.0
+
+
+@checks_arguments
+def locate(
+    runs: Sequence[Run | str | Path],
+    images: Dataset | str | Path | Sequence[Dataset | str | Path],
+    *,
+    calibrate: str | Path | Sequence[Dataset | str | Path] = (),
+    split: str | None = None,
+    grazing_deg: float | None = None,
+    step_deg: float = 3.0,
+    window_m: float | None = None,
+    ground: Literal["learned", "flat"] = "learned",
+    near: Side = "top",
+    quiet: bool = True,
+) -> Located:
+    """Find class and azimuth of images: each is compared with every run, rendered from all azimuths.
+
+    An image's gain is free, and its target may be displaced by up to three resolution cells. The class is always one of
+    the runs'. Neither the order of images and runs nor the number of threads changes the result.
+
+    Parameters
+    ----------
+    runs : sequence of Run or path
+        Runs, or their folders. The class of a run is the target of its dataset, or else the name of its folder; runs of
+        one class are alternatives.
+    images : Dataset, path, or sequence of these
+        Datasets, whose azimuths and targets count as labels only, with their images without azimuth; folders of these;
+        or folders of pictures with the runs' pixels.
+    calibrate : path, or sequence of Dataset or path
+        Labelled datasets of all classes, of which up to 24 images a class calibrate the odds, except those in `images`;
+        or the JSON file that `Calibration.write` made.
+    split : str, optional
+        Set of the datasets in `images`, such as "test-15"; by default all but the training set, if there are others.
+    grazing_deg : float, optional
+        Grazing angle of all images, degrees; by default that of each image, to a degree. Pictures need it.
+    step_deg : float
+        Step between azimuths, degrees; it divides 360.
+    window_m : float, optional
+        Side of the square around the origin in which images are compared, m; by default a rectangle that holds targets
+        and shadows of all runs.
+    ground : {"learned", "flat"}
+        Ground of renderings: as in the training images, which knows the field where they were recorded, or uniform.
+    near : {"top", "right", "bottom", "left"}
+        Side of pictures that is near the radar.
+    quiet : bool
+        Show no progress.
+
+    Returns
+    -------
+    Located
+        Odds, azimuths and displacements of all images for each class, and scores where labels are known.
+
+    Raises
+    ------
+    SarsplatError
+        If there are no runs or images, pixels differ, images are too small, a class has no image to calibrate with, or
+        an option is out of range.
+
+    Warns
+    -----
+    SarsplatWarning
+        If grazing angles are far from those of the runs' training images.
+    """
+    if not runs:
+        raise SarsplatError("there are no runs to compare images with; give at least one")
+    if not (0 < step_deg <= 45) or 360 % step_deg:
+        raise SarsplatError(f"step_deg is {step_deg}; give a divisor of 360 up to 45, such as 3")
+    if ground not in ("learned", "flat"):
+        raise SarsplatError(f"ground is {shown(ground)}; give learned or flat")
+    opened = [run if isinstance(run, Run) else Run.load(run) for run in runs]
+    opened.sort(key=lambda run: (target_of(run), run.fingerprint, str(run.path)))
+    settings: dict[str, Any] = {"ground": ground, "step_deg": float(step_deg), "window_m": window_m}
+    named = {f"{k} {run.path.name if run.path else 'in memory'}": target_of(run) for k, run in enumerate(opened)}
+    calibration = Calibration(runs=named, settings=settings)
+    sources = _listed(calibrate)
+    chips = chips_of(_listed(images), split, grazing_deg, near, opened[0])
+    labelled: list[Chip] = []
+    if len(sources) == 1 and not isinstance(sources[0], Dataset) and Path(sources[0]).suffix == ".json":
+        calibration = calibration.read(Path(sources[0]))
+    elif sources:
+        located = {chip.power.tobytes() for chip in chips}
+        others = chips_of(sources, None, grazing_deg, near, opened[0])
+        known = [one for one in others if one.target in calibration.classes and one.power.tobytes() not in located]
+        if not known:
+            raise SarsplatError("`calibrate` has no image of these classes, besides those to be located; give some")
+        labelled = most_per_target(known, _LABELLED)
+    every = [*labelled, *chips]
+    require_comparable(every)
+    _warn_of_far_angles(opened, every)
+    azimuths = np.arange(round(360 / step_deg)) * float(step_deg)
+    with progress("locate", len(every) + len({chip.view for chip in every}) * len(opened), quiet) as shows:
+        matches = _matched(opened, every, azimuths, window_m, ground, shows)
+    if labelled:
+        first = _assembled(opened, labelled, matches[: len(labelled)], calibration)
+        samples = np.array([samples for _, samples in matches[: len(labelled)]])
+        calibration = calibration.fitted(first.nats, samples, first.labels, first.relative_azimuth_errors)
+    return _assembled(opened, chips, matches[len(labelled) :], calibration)
+
+
+def _matched(
+    runs: Sequence[Run],
+    chips: Sequence[Chip],
+    azimuths: np.ndarray,
+    window_m: float | None,
+    ground: Literal["learned", "flat"],
+    shows: Reporter,
+) -> list[tuple[Match, float]]:
+    """Match every image with every run, view by view; also return the independent samples in the window."""
+    pixels: ImageGrid = max((chip.grid for chip in chips), key=lambda grid: (grid.rows * grid.columns, grid.rows))
+    grids = [pixels, *(chip.grid for chip in chips), *(grid_for(run, pixels) for run in runs)]
+    matches: dict[int, tuple[Match, float]] = {}
+    for view in sorted({chip.view for chip in chips}, key=str):
+        window = window_around(runs, view, grids, window_m)
+        (rows, columns), (down, across) = window.size, window.margins
+        templates_bytes = _BYTES * len(runs) * len(azimuths) * (rows + 2 * down) * (columns + 2 * across)
+        required("matching images", templates_bytes, "give fewer runs, a larger step_deg or a smaller window_m")
+        views, rendered = [replace(view, azimuth_deg=float(azimuth)) for azimuth in azimuths], []
+        for run in runs:
+            shows.advance(1, f"rendering {target_of(run)}")
+            rendered.append(templates(run, views, window, pixels, ground))
+        matcher, samples = Matcher(rendered, window), replace(pixels, rows=rows, columns=columns).independent_samples
+        for index, chip in enumerate(chips):
+            if chip.view == view:
+                matches[index] = matcher(window.cut(chip.power, chip.grid, window.margins)), samples
+                shows.advance(1, "matching")
+    return [matches[index] for index in range(len(chips))]
+
+
+def _assembled(
+    runs: Sequence[Run], chips: Sequence[Chip], matches: Sequence[tuple[Match, float]], calibration: Calibration
+) -> Located:
+    """Return the result for images, given their matches with the runs: each class has its most likely run."""
+    samples, nats = np.array([samples for _, samples in matches]), np.stack([match.nats for match, _ in matches])
+    of_class = [[k for k, run in enumerate(runs) if target_of(run) == name] for name in calibration.classes]
+    best = np.stack([np.take(own, nats[:, own].argmin(axis=1)) for own in of_class], axis=1)
+
+    def chosen(name: str) -> Any:
+        return np.stack([getattr(match, name)[index] for (match, _), index in zip(matches, best, strict=True)])
+
+    nats, certainty = chosen("nats"), samples[:, None] / calibration.temperature
+    spacing_m = np.array(chips[0].grid.spacing_m)
+    return Located(
+        chips=tuple(chips),
+        runs=tuple(runs),
+        calibration=calibration,
+        odds=calibration.odds(nats, samples),
+        azimuth_deg=chosen("azimuth_deg"),
+        azimuth_std_deg=np.minimum(
+            calibration.azimuth_scale / np.sqrt(chosen("curvature") * samples[:, None] / TEMPERATURE), _UNKNOWN_DEG
+        ),
+        reversed_odds=1 / (1 + np.exp(np.minimum((chosen("reversed_nats") - nats) * certainty, _LARGEST_EXPONENT))),
+        shift_m=chosen("shift")[..., ::-1] * spacing_m,
+        gain_db=to_db(chosen("gain")),
+        nats=nats,
+        run_index=best,
+    )
+
+
+def _listed(images: Dataset | str | Path | Sequence[Dataset | str | Path]) -> list[Dataset | str | Path]:
+    return [images] if isinstance(images, Dataset | str | Path) else [*images]
+
+
+def _warn_of_far_angles(runs: Sequence[Run], chips: Sequence[Chip]) -> None:
+    """Warn of grazing angles far from those of the training images: the shape is not known from there."""
+    angles = [chip.view.grazing_deg for chip in chips]
+    for run in runs:
+        seen = [view.grazing_deg for view in run.snapshot.views]
+        far = max(min(seen) - min(angles), max(angles) - max(seen))
+        if far > _FAR_DEG:
+            warnings.warn(
+                f"images at grazing angles of {min(angles):g}° to {max(angles):g}° are up to {far:.0f}° from those "
+                f"that a run of {target_of(run)} has seen, which may not know the target from there",
+                SarsplatWarning,
+                stacklevel=4,
+            )
+            return

@@ -1,0 +1,161 @@
+"""Match of an image with templates: coarse correlation over displacements, then the likelihood of speckle.
+
+The score is the negative log-likelihood of exponential power I with mean gS for its best gain g = mean(I / S):
+log g + mean(log S) + 1, nats per pixel. The window is fixed in the image, and the template S is displaced. An image's
+result depends neither on other images nor on the number of threads: products of matrices have a fixed shape.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float32, Float64, Int64
+from numpy.lib.stride_tricks import sliding_window_view
+from torch import Tensor
+from torch.nn.functional import avg_pool2d
+
+from sarsplat.radiometry import DYNAMIC_RANGE_DB, from_db
+from sarsplat.recognition.templates import COARSE, Window
+
+_CANDIDATES, _REVERSED = (12, 3), (6, 1)
+"""Number of azimuths whose likelihood is computed, and of those whose displacement is refined: of all, and of those
+around the opposite of the best one."""
+
+_SECTOR_DEG = 45.0
+"""Half width of the sector of opposite azimuths, degrees."""
+
+_FINE = np.array([(down, right) for down in (0, -1, 1) for right in (0, -1, 1)])
+"""Displacements of the fine search, pixels."""
+
+_LEAST_CURVATURE = 1e-12
+"""Minimum second derivative, nats per pixel and square degree."""
+
+
+@dataclass(frozen=True)
+class Match:
+    """Best match of an image with each of Q runs."""
+
+    nats: Float64[np.ndarray, " q"]
+    """Negative log-likelihood, nats per pixel, of the image divided by its mean in the window."""
+    reversed_nats: Float64[np.ndarray, " q"]
+    """Nats of the best azimuth within 45° of the opposite one."""
+    azimuth_deg: Float64[np.ndarray, " q"]
+    """Azimuth, degrees, in [0, 360)."""
+    curvature: Float64[np.ndarray, " q"]
+    """Second derivative of the nats per pixel with respect to azimuth, degrees⁻²."""
+    shift: Int64[np.ndarray, "q 2"]
+    """Displacement of the target, pixels in range and azimuth."""
+    gain: Float64[np.ndarray, " q"]
+    """Factor on the rendered power."""
+
+
+class Matcher:
+    """Templates of Q runs, prepared for matching.
+
+    Parameters
+    ----------
+    power : sequence of numpy.ndarray, float32 [A, m, n]
+        Linear power > 0 of each run at A evenly spaced azimuths from 0, in the window with its margins.
+    window : Window
+        The window.
+    """
+
+    def __init__(self, power: Sequence[Float32[np.ndarray, "a m n"]], window: Window) -> None:
+        self._window, self._runs, self._azimuths = window, len(power), len(power[0])
+        down, across = window.margins
+        inner = [_smooth_logs(torch.from_numpy(one))[:, down:-down, across:-across] for one in power]
+        coarse = torch.cat([_standardised(avg_pool2d(one, COARSE).flatten(1)) for one in inner])
+        self._coarse = coarse.T.contiguous()
+        self._inverse = sliding_window_view(np.stack([1 / one for one in power]), window.size, (2, 3))
+        self._mean_log = np.stack([_box_means(np.log(one, dtype=np.float64), window.size) for one in power])
+
+    def __call__(self, power: Float32[np.ndarray, "m n"]) -> Match:
+        """Match linear power, not all zero, in the window with its margins."""
+        down, across = self._window.margins
+        level = power[down:-down, across:-across].mean(dtype=np.float64)
+        image = np.maximum(power / level, from_db(-DYNAMIC_RANGE_DB)).astype(np.float32)
+        fits, shifts = self._correlations(image)
+        image, every = image[down:-down, across:-across], np.arange(self._runs)
+        nats, azimuth, shift = self._best(image, fits, shifts, *_CANDIDATES)
+        turns = np.abs((np.arange(self._azimuths) - azimuth[:, None]) * 360 / self._azimuths % 360 - 180)
+        opposite = np.where(turns <= _SECTOR_DEG, fits, -np.inf)
+        others = self._best(
+            image, opposite, shifts, min(_REVERSED[0], int((turns[0] <= _SECTOR_DEG).sum())), _REVERSED[1]
+        )
+        better = others[0] < nats
+        reversed_nats = np.where(better, nats, others[0])
+        nats, azimuth = np.where(better, others[0], nats), np.where(better, others[1], azimuth)
+        shift = np.where(better[:, None], others[2], shift)
+        before, after = (self._nats(image, every, (azimuth + k) % self._azimuths, shift)[0] for k in (-1, 1))
+        step_deg, bend = 360 / self._azimuths, np.maximum(before + after - 2 * nats, _LEAST_CURVATURE)
+        offset = np.clip((before - after) / (2 * bend), -0.5, 0.5)
+        gain = self._nats(image, every, azimuth, shift)[1] * level
+        nats = nats + offset * ((after - before) / 2 + offset * bend / 2)
+        azimuth_deg = (azimuth + offset) * step_deg % 360
+        return Match(nats, reversed_nats, azimuth_deg, bend / step_deg**2, shift, gain)
+
+    def _correlations(
+        self, image: Float32[np.ndarray, "m n"]
+    ) -> tuple[Float32[np.ndarray, "q a"], Int64[np.ndarray, "q a 2"]]:
+        """Return the best correlation of logarithms with each template, and its displacement, pixels."""
+        logs = avg_pool2d(_smooth_logs(torch.from_numpy(image)[None])[:, 1:-1, 1:-1], COARSE)[0]
+        rows, columns = (side // COARSE for side in self._window.size)
+        moved = logs.unfold(0, rows, 1).unfold(1, columns, 1)
+        found = (_standardised(moved.reshape(-1, rows * columns)) @ self._coarse) / (rows * columns)
+        fits, index = (one.view(self._runs, self._azimuths).numpy() for one in found.max(dim=0))
+        steps = np.stack(np.divmod(index, moved.shape[1]), axis=-1) - np.array(self._window.steps)
+        return fits, COARSE * steps
+
+    def _best(
+        self,
+        image: Float32[np.ndarray, "r c"],
+        fits: Float32[np.ndarray, "q a"],
+        shifts: Int64[np.ndarray, "q a 2"],
+        candidates: int,
+        refined: int,
+    ) -> tuple[Float64[np.ndarray, " q"], Int64[np.ndarray, " q"], Int64[np.ndarray, "q 2"]]:
+        """Return nats, index of the azimuth and displacement of the most likely of the azimuths that correlate best."""
+        run = np.arange(self._runs)[:, None]
+        azimuth = np.argsort(-fits, axis=1, kind="stable")[:, :candidates]
+        nats, _ = self._nats(image, run, azimuth, shifts[run, azimuth])
+        azimuth = np.take_along_axis(azimuth, np.argsort(nats, axis=1, kind="stable")[:, :refined], axis=1)
+        moved = shifts[run, azimuth][:, :, None] + _FINE
+        nats, _ = self._nats(image, run[..., None], azimuth[..., None], moved)
+        best = nats.reshape(self._runs, -1).argmin(axis=1)
+        every, (place, fine) = run[:, 0], np.divmod(best, len(_FINE))
+        return nats[every, place, fine], azimuth[every, place], moved[every, place, fine]
+
+    def _nats(
+        self,
+        image: Float32[np.ndarray, "r c"],
+        run: Int64[np.ndarray, "*#k"],
+        azimuth: Int64[np.ndarray, "*#k"],
+        shift: Int64[np.ndarray, "*#k 2"],
+    ) -> tuple[Float64[np.ndarray, "*#k"], Float64[np.ndarray, "*#k"]]:
+        """Return nats per pixel and gain of templates that are displaced."""
+        first = np.array(self._window.margins) - shift
+        at = (run, azimuth, first[..., 0], first[..., 1])
+        gain = (self._inverse[at] * image).mean(axis=(-2, -1)).astype(np.float64)
+        return np.log(gain) + self._mean_log[at] + 1, gain
+
+
+def _smooth_logs(power: Float[Tensor, "v m n"]) -> Float[Tensor, "v m n"]:
+    """Logarithms of means over 3 × 3 pixels."""
+    return avg_pool2d(power[:, None], 3, stride=1, padding=1, count_include_pad=False)[:, 0].log()
+
+
+def _standardised(rows: Float[Tensor, "n p"]) -> Float[Tensor, "n p"]:
+    """Rows of mean 0 and variance 1."""
+    centred = rows - rows.mean(1, keepdim=True)
+    return centred / centred.square().mean(1, keepdim=True).sqrt().clamp(min=1e-6)
+
+
+def _box_means(images: Float64[np.ndarray, "a m n"], size: tuple[int, int]) -> Float64[np.ndarray, "a u v"]:
+    """Means over all windows of a size."""
+    sums = np.pad(images.cumsum(1).cumsum(2), ((0, 0), (1, 0), (1, 0)))
+    rows, columns = size
+    sums = sums[:, rows:] - sums[:, :-rows]
+    return (sums[..., columns:] - sums[..., :-columns]) / (rows * columns)

@@ -1,0 +1,147 @@
+"""Templates: runs rendered from all azimuths around a view, and the window in which they are compared with images."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from jaxtyping import Float32, Real
+
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.radiometry import DYNAMIC_RANGE_DB, from_db
+from sarsplat.renderer import render
+from sarsplat.runs import Run
+
+COARSE = 2
+"""Pixels of the coarse search along each side."""
+
+_REACH_CELLS = 3.0
+"""Largest displacement of an image, resolution cells."""
+
+_MARGIN_CELLS = 8.0
+"""Margin of the window around targets and shadows, resolution cells."""
+
+_MASKS = 12
+"""Number of azimuths at which the runs' targets and shadows are outlined."""
+
+_AT_A_TIME = 8
+"""Views of flat ground that are rendered at once."""
+
+
+@dataclass(frozen=True)
+class Window:
+    """Rows and columns that are compared, relative to the scene's origin, and their coarse steps of displacement."""
+
+    rows: tuple[int, int]
+    columns: tuple[int, int]
+    steps: tuple[int, int]
+    """Coarse steps each way, of rows and of columns; the fine search adds a pixel."""
+
+    @property
+    def margins(self) -> tuple[int, int]:
+        """Pixels by which images may be displaced each way, rows and columns."""
+        return COARSE * self.steps[0] + 1, COARSE * self.steps[1] + 1
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Number of rows and of columns."""
+        return self.rows[1] - self.rows[0], self.columns[1] - self.columns[0]
+
+    def cut(
+        self, images: Real[np.ndarray, "*v rows columns"], grid: ImageGrid, margins: tuple[int, int] = (0, 0)
+    ) -> Real[np.ndarray, "*v m n"]:
+        """Cut the window, wider by margins, out of images on a grid."""
+        (top, bottom), (left, right) = self.rows, self.columns
+        (down, across), (row, column) = margins, _origin(grid)
+        return images[..., row + top - down : row + bottom + down, column + left - across : column + right + across]
+
+
+def window_around(runs: Sequence[Run], view: View, grids: Sequence[ImageGrid], size_m: float | None) -> Window:
+    """Return the window around the targets and shadows of all runs, or a square, cut to the smallest grid."""
+    pixels = grids[0]
+    steps = [
+        max(1, round(_REACH_CELLS * width / spacing / COARSE))
+        for width, spacing in zip(pixels.resolution_m, pixels.spacing_m, strict=True)
+    ][::-1]
+    spans = []
+    extents = _extents_m(runs, view) if size_m is None else ((-size_m / 2, size_m / 2),) * 2
+    for axis, (low_m, high_m) in enumerate(extents):
+        spacing, reach = pixels.spacing_m[1 - axis], COARSE * steps[axis] + 1
+        before = min(_origin(grid)[axis] for grid in grids) - reach
+        after = min((grid.rows, grid.columns)[axis] - _origin(grid)[axis] for grid in grids) - reach
+        low, high = max(math.floor(low_m / spacing), -before), min(math.ceil(high_m / spacing), after)
+        if high - low < 2 * COARSE:
+            raise SarsplatError(
+                f"images of {pixels.rows} × {pixels.columns} pixels leave no window when moved by {reach} each "
+                "way; give larger ones"
+            )
+        spans.append((low, high - (high - low) % COARSE))
+    return Window(spans[0], spans[1], (steps[0], steps[1]))
+
+
+def _extents_m(runs: Sequence[Run], view: View) -> list[tuple[float, float]]:
+    """Return the extent of the runs' targets and shadows in range and azimuth, with a margin, m."""
+    views = [replace(view, azimuth_deg=360 * k / _MASKS) for k in range(_MASKS)]
+    ends: list[list[float]] = [[], []]
+    for run in runs:
+        grid, shown = run.grid, run.masks(views).max(axis=0)
+        for axis, places in enumerate((grid.range_m, grid.azimuth_m)):
+            within = places[shown.any(axis=1 - axis)]
+            ends[axis] += [float(within.min()), float(within.max())] if len(within) else [0.0]
+    margin = _MARGIN_CELLS * max(run.grid.cell_m for run in runs)
+    return [(min(one) - margin, max(one) + margin) for one in ends]
+
+
+def _origin(grid: ImageGrid) -> tuple[int, int]:
+    """Row and column whose near corner is the scene's origin, in whole pixels."""
+    row = grid.rows / 2 - grid.center_m[1] / grid.spacing_m[1]
+    column = grid.columns / 2 - grid.center_m[0] / grid.spacing_m[0]
+    return math.floor(row + 0.5), math.floor(column + 0.5)
+
+
+def grid_for(run: Run, pixels: ImageGrid) -> ImageGrid:
+    """Return the grid on which a run is rendered: its own, or that of the images if their pixels differ."""
+    own = (run.grid.spacing_m, run.grid.resolution_m) == (pixels.spacing_m, pixels.resolution_m)
+    return run.grid if own else pixels
+
+
+def templates(
+    run: Run, views: Sequence[View], window: Window, pixels: ImageGrid, ground: Literal["learned", "flat"]
+) -> Float32[np.ndarray, "v m n"]:
+    """Render a run from these views: linear power in the window with its margins, at least −40 dB of the mean."""
+    grid = grid_for(run, pixels)
+    images = (
+        run.render(views, None if grid is run.grid else grid) if ground == "learned" else _on_flat(run, views, grid)
+    )
+    cut = window.cut(images, grid, window.margins)
+    return np.maximum(cut, float(cut.mean(dtype=np.float64)) * from_db(-DYNAMIC_RANGE_DB)).astype(np.float32)
+
+
+@torch.no_grad()
+def _on_flat(run: Run, views: Sequence[View], grid: ImageGrid) -> Float32[np.ndarray, "v rows columns"]:
+    """Render a run on ground of its mean γ⁰; estimated parts of the model (texture) apply to the target alone."""
+    model = run.model
+    if model is None or (learned := model.ground()) is None:
+        raise SarsplatError("ground is 'flat', but a run has learned no ground; leave it out")
+    scene = model.scene(model.degree(run.iteration))
+    how: dict[str, Any] = {
+        "rays": RayGrid.for_image(grid, model.config.rays_per_pixel),
+        "ground": replace(learned, gamma0=learned.gamma0.mean()),
+        "echoes": model.echoes(),
+    }
+    done = []
+    for first in range(0, len(views), _AT_A_TIME):
+        shot = model.shot(views[first : first + _AT_A_TIME], grid)
+        rendering = render(scene, shot.views, shot.grid, shift=shot.shift, **how)
+        power = rendering.images[:, shot.power_channel]
+        assert rendering.ground is not None
+        target = (power - rendering.ground).clamp(min=0) / power.clamp(min=torch.finfo(power.dtype).tiny)
+        plain, textured = (model.developed(rendering.images, shot, estimated) for estimated in (False, True))
+        both = plain + target[:, None] * (textured - plain)
+        done.append(both[:, shot.power_channel].clamp(min=0).cpu().numpy())
+    return np.concatenate(done)
