@@ -204,7 +204,6 @@ def test_images_of_a_left_looking_radar_are_laid_out_as_those_of_a_right_looking
     [
         ({"zeroDopplerTimeSpacing": None}, {}, "has no science/LSAR/RSLC/swaths/zeroDopplerTimeSpacing; get it again"),
         ({"Grid/slantRange": RANGES[0] - np.array([400.0, 200.0])}, {}, "slantRange from 799600 to 799800, but 800090"),
-        ({}, {"images": "SSAR/frequencyA"}, "has no 'SSAR/frequencyA'; give one of LSAR/frequencyA as `images`"),
         ({"CenterFrequency": np.nan}, {}, "has no finite numbers as .*CenterFrequency"),
         ({"CenterFrequency": 3.0}, {}, "has 3.0 as .*CenterFrequency, not a number from 1e.08 to 1e.12"),
         ({"lookDirection": np.bytes_("up")}, {}, "says that its radar looks 'up', not left or right"),

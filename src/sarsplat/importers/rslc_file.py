@@ -58,8 +58,8 @@ class GeolocationGrid:
             share = (at - known[low]) / (known[low + 1] - known[low]) if len(known) > 1 else 0.0
             if not -1 <= share <= 2:
                 raise SarsplatError(
-                    f"the geolocation grid of the file has {name} from {line[0]:.8g} to {line[-1]:.8g}, but {at:.8g} is "
-                    "asked for; give a `pixel`, or a `height_m`, in its range"
+                    f"the geolocation grid of the file has {name} from {line[0]:.8g} to {line[-1]:.8g}, but {at:.8g} "
+                    "is asked for; give a `pixel`, or a `height_m`, in its range"
                 )
             found = found[index[low]] * (1 - share) + found[index[min(low + 1, len(known) - 1)]] * share
         east, north, speed = map(float, found)
