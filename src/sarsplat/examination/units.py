@@ -48,11 +48,21 @@ _ALL_OPTIONS = ("quantity", "looks")
 _OPTIONS = {"sicd": ("looks",), "rslc": ("looks",), "mstar": (), "sample": (), "phase-history": (), "stack": ("looks",)}
 """Options of the import by the kind of the dataset's `source`; `_ALL_OPTIONS` for other kinds."""
 
-_QUANTITY_REMEDIES: dict[str, dict[str, str]] = {
-    "db": {"quantity": "double the decibels (`scale=2`) if they are 10·log10 of amplitudes"},
-    "complex": {},
+_SQUARED = {
+    "": "square the values (quantity='amplitude')",
+    "power": "square the values (quantity='amplitude')",
+    "amplitude": "square the numbers in the files if they are roots of amplitudes",
+    "db": "double the decibels (`scale=2`) if they are 10·log10 of amplitudes",
 }
-"""Remedies besides the looks for quantities that determine power."""
+"""Quantity of a dataset's files → remedy if speckle has too little contrast, and the looks are right."""
+_ROOTS = {
+    "": "take the root of the values (quantity='power') if they were squared twice",
+    "amplitude": "take the root of the values (quantity='power') if they were squared twice",
+    "power": "take the root of the numbers in the files if these are squares of power",
+    "complex": "take the root of the magnitudes in the files if these are power",
+    "db": "halve the decibels (`scale=0.5`) if they are 20·log10 of power",
+}
+"""Quantity → remedy if speckle has too much contrast."""
 
 _CELLS_PER_BLOCK, _SMALLEST_BLOCK = 6, 8
 """Side of the blocks of clutter in resolution widths, and minimum in pixels: ground hardly changes within one."""
@@ -154,11 +164,12 @@ def _speckle(dataset: Dataset, examined: Examination) -> bool:
     of_power, of_amplitude = contrast_of(dataset.looks)
     stated = f"{dataset.looks:g} look{'' if dataset.looks == 1 else 's'}"
     examined.checks["unit"] = f"{measured}; power of {stated} has {of_power:.2f}, amplitude {of_amplitude:.2f}"
-    wrong = ""
+    wrong, quantity = "", str(dataset.source.get("quantity", ""))
+    decibels = {"quantity": f"import with {_DECIBELS}"} if quantity not in ("db", "complex") else {}
     if Evidence(ground.skewness).against(_MIN_SKEWNESS):
         wrong = (
             f"more of the ground is dark than bright (skewness {ground.skewness.mean():.2f}), as in decibels, not in "
-            f"power or amplitude; {_remedy(dataset, quantity=f'import with {_DECIBELS}')}"
+            f"power or amplitude; {_remedy(dataset, **decibels)}"
         )
     elif contrast < of_amplitude**1.5 / of_power**0.5:
         wrong = (
@@ -166,18 +177,16 @@ def _speckle(dataset: Dataset, examined: Examination) -> bool:
             + _remedy(
                 dataset,
                 looks="give their number of `looks`, or looks=None if there is no speckle",
-                quantity=f"{_DECIBELS}, if they hold these",
+                **{name: f"{text}, if they hold these" for name, text in decibels.items()},
             )
         )
     elif contrast < (of_power * of_amplitude) ** 0.5:
-        remedies_of_quantity = _QUANTITY_REMEDIES.get(str(dataset.source.get("quantity")))
-        remedies = {
-            "quantity": "square the values (quantity='amplitude')",
-            "looks": "give another number of `looks` if they are power",
-        }
-        if remedies_of_quantity is not None:  # squares are impossible: the looks are wrong
-            remedies = {"looks": "give another number of `looks`"} | remedies_of_quantity
-        elif dataset.source.get("geocoded"):  # amplitude is less likely
+        remedies = {name: text for name, text in {"quantity": _SQUARED.get(quantity)}.items() if text}
+        if quantity in ("", "power"):
+            remedies["looks"] = "give another number of `looks` if they are power"
+        else:  # squares are less likely: the looks are wrong
+            remedies = {"looks": "give another number of `looks`"} | remedies
+        if remedies.get("quantity") == _SQUARED["power"] and dataset.source.get("geocoded"):  # amplitude is less likely
             looks = f"`looks={1 / contrast**2:.2g}`"
             remedies = {
                 "looks": f"give the looks that are left after pixels were interpolated to the map ({looks})",
@@ -190,12 +199,8 @@ def _speckle(dataset: Dataset, examined: Examination) -> bool:
     elif contrast > of_power**1.5 / of_amplitude**0.5:
         wrong = (
             f"the {measured}, but power of {stated} has {of_power:.2f}; "
-            + _remedy(
-                dataset,
-                quantity="take the root of the values (quantity='power') if they were squared twice",
-                looks="give another number of `looks`",
-            )
-            + f", or {_DECIBELS}" * ("quantity" in _options(dataset))
+            + _remedy(dataset, quantity=_ROOTS.get(quantity, _ROOTS[""]), looks="give another number of `looks`")
+            + f", or import with {_DECIBELS}" * (bool(decibels) and "quantity" in _options(dataset))
         )
     if wrong:
         examined.contradictions.append(wrong)

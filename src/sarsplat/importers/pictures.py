@@ -158,9 +158,8 @@ def power_or_signal(
     """
     kind = "complex" if pixels.dtype.kind == "c" or pixels.ndim == 3 else "real"
     if (kind == "complex") != (quantity == "complex"):
-        raise SarsplatError(
-            f"{name} holds {kind} numbers, but the quantity is {quantity!r}; give that of the files, or other files"
-        )
+        right = "`quantity='complex'`" if kind == "complex" else "amplitude, power or db as `quantity`"
+        raise SarsplatError(f"{name} holds {kind} numbers, but the quantity is {quantity!r}; give {right}")
     value: Shaped[np.ndarray, "rows columns"]
     with np.errstate(over="ignore", invalid="ignore"):
         if quantity == "complex":

@@ -29,6 +29,8 @@ from sarsplat.names import Quantity, Side
 
 _SCALES = 1e-15, 1e15
 """Least and largest scale of pixels; the square of no magnitude leaves float32."""
+_PRODUCTS = {"manifest.safe": "SAFE (Sentinel-1)", "img-": "CEOS (ALOS)", "led-": "CEOS (ALOS)"}
+"""Beginnings of files' names, in small letters → layouts of satellites' products."""
 _ROUNDED_DEG = 1.0 + 1e-6
 """Maximum difference from 90° of the sum of grazing and incidence angles in whole degrees."""
 
@@ -170,6 +172,12 @@ def _one_class(table: CsvTable, columns: Columns, chosen: str | None, rows: list
 
 def _only_table(folder: Path, files: list[Path]) -> Path:
     tables = [path for path in files if path.suffix.lower() == ".csv"]
+    products = {kind for path in files for start, kind in _PRODUCTS.items() if path.name.lower().startswith(start)}
+    if products and not tables:
+        raise SarsplatError(
+            f"{folder} holds a product in {products.pop()}, whose geometry is not read; convert it to SICD, as by "
+            "sarpy, and give that to `sarsplat import sicd`"
+        )
     if len(tables) != 1:
         number = f"{len(tables)} tables (CSV)" if tables else "no table (CSV) of its pictures"
         raise SarsplatError(f"{folder} has {number}; give the right one as `table`")
