@@ -47,7 +47,7 @@ def sicd_seeds() -> list[bytes]:
     """One of each pixel type, small, and one of the oldest version."""
     made = []
     for kind, pixel_type in (("PLANE", "RE16I_IM16I"), ("RGAZIM", "AMP8I_PHS8I"), ("RGZERO", "RE32F_IM32F")):
-        options = {"kind": kind, "pixel_type": pixel_type, "amplitude_table": kind == "RGAZIM", "beta_zero": 2.0}
+        options = {"kind": kind, "pixel_type": pixel_type, "amplitude_table": kind == "RGAZIM", "calibration": (("BetaZero", 2.0),)}
         recording = sicds.Recording(rows=24, columns=20, **options)
         made.append(written(lambda path, one=recording: sicds.write_sicd(path, sicds.Track(), [(0, 0, 0)], one)))
     return [*made, sicds.of_version(made[-1], "0.4.0")]

@@ -234,6 +234,24 @@ def test_what_is_refused(tmp_path, changed, options, words):
     assert not (tmp_path / "out").exists()
 
 
+def test_directions_are_extrapolated_within_a_cell_of_the_grid_and_other_images_are_said(tmp_path):
+    nodes = RANGES[0] + np.array([40.0, 140.0])  # of 0 to 174
+    west = np.interp(nodes, RANGES[[0, -1]], np.cos(np.radians([60.0, 50.0]))) * np.ones((2, 2, 1))
+    path = write_rslc(tmp_path / "a.h5", QUAD, {"Grid/slantRange": nodes, "losUnitVectorX": -west})
+    with h5py.File(path, "a") as file:
+        file.copy(IMAGES, f"{SWATHS}/frequencyB")
+        del file[f"{SWATHS}/frequencyB/HV"], file[f"{SWATHS}/frequencyB/VH"], file[f"{SWATHS}/frequencyB/HH"]
+    made = import_rslc(path, tmp_path / "out", size_m=50.0, pixel=(20, 5), images="LSAR/frequencyB")
+    whole = imported(tmp_path, pixel=(20, 5), size_m=50.0)
+    assert made.views[0].grazing_deg == pytest.approx(whole.views[0].grazing_deg)
+    assert any(
+        "also has LSAR/frequencyA (HH, HV, VH, VV), which is left out" in text for text in made.source["assumptions"]
+    )
+    assert any("for the geolocation grid is not in WGS 84" in text for text in made.source["assumptions"])
+    with pytest.raises(SarsplatError, match="has no 'SSAR/frequencyA'; give one of LSAR/frequencyA, LSAR/frequencyB"):
+        import_rslc(path, tmp_path / "out", size_m=50.0, images="SSAR/frequencyA")
+
+
 def test_data_in_other_files_are_not_read(tmp_path):
     (tmp_path / "secret").write_bytes(bytes(40 * 30 * 8))
     path = write_rslc(tmp_path / "a.h5", QUAD, {"frequencyA/HH": None})

@@ -195,7 +195,9 @@ def _remedy(near: Side, opposite: bool, layout: Layout | None, tilted: bool) -> 
     if not opposite and not layout.mirrored:
         return f"import with {mended}"
     first, other = mended, mended.twin
-    if near != "top" and opposite:  # one transposition or flip is likelier than a rotation and another sense
+    if (
+        near != "top" and opposite and mended.counter_clockwise
+    ):  # a transposition is likelier than a turn and another sense
         first, other = other, first
     sense = "counter-clockwise" if other.counter_clockwise else "clockwise"
     return f"import with {first}, or with {other} if the table's azimuths do run {sense}: images do not tell which"

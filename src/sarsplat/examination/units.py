@@ -165,7 +165,8 @@ def _speckle(dataset: Dataset, examined: Examination) -> bool:
     stated = f"{dataset.looks:g} look{'' if dataset.looks == 1 else 's'}"
     examined.checks["unit"] = f"{measured}; power of {stated} has {of_power:.2f}, amplitude {of_amplitude:.2f}"
     wrong, quantity = "", str(dataset.source.get("quantity", ""))
-    decibels = {"quantity": f"import with {_DECIBELS}"} if quantity not in ("db", "complex") else {}
+    decibels = {"quantity": f"import with {_DECIBELS}"} if quantity != "complex" else {}
+    decibels |= {"quantity": "give `scale` and `offset` of decibels in 8 bits"} if quantity == "db" else {}
     if Evidence(ground.skewness).against(_MIN_SKEWNESS):
         wrong = (
             f"more of the ground is dark than bright (skewness {ground.skewness.mean():.2f}), as in decibels, not in "

@@ -7,6 +7,7 @@ needed arrays are read.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
@@ -152,8 +153,11 @@ def read_rslc(path: Path, images: str | None = None) -> Rslc:
         product = next((name for name in _PRODUCTS if name in file), None)
         if product is None:
             _refuse(path, f"has none of {', '.join(_PRODUCTS)}")
-        every = {f"{one.split('/')[1]}/{name}": f"{one}/swaths/{name}" for one in _PRODUCTS for name in _FREQUENCIES}
-        groups = {short: group for short, group in every.items() if group in file}
+        groups = {
+            f"{one.split('/')[1]}/{name}": group
+            for one, name in itertools.product(_PRODUCTS, _FREQUENCIES)
+            if (group := f"{one}/swaths/{name}") in file
+        }
         if images is not None and images not in groups:
             raise SarsplatError(f"{path} has no {shown(images)}; give one of {', '.join(groups)} as `images`")
         group = groups.pop(images or next(iter(groups), ""), f"{product}/swaths/{_FREQUENCIES[0]}")

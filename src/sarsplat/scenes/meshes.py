@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Integer
 
 from sarsplat.arguments import check_number, checks_arguments
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
@@ -349,7 +349,7 @@ def _plain_glb(data: bytes, scene: dict[str, Any]) -> tuple[bytes, int]:
     return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body, len(hidden)
 
 
-def _corners_of(scene: dict[str, Any], primitive: dict[str, Any], values: bytes) -> Int[np.ndarray, " n"]:
+def _corners_of(scene: dict[str, Any], primitive: dict[str, Any], values: bytes) -> Integer[np.ndarray, " n"]:
     """Return the indices of a primitive's vertices."""
     accessors = scene["accessors"]
     if "indices" not in primitive:
