@@ -233,12 +233,6 @@ def test_factors_of_producers(tmp_path, said, factor, kind, compression):
     values = read_values(path, None, 1.0, 0.0)
     assert (values.power_factor, values.tags.backscatter) == (pytest.approx(factor), kind)
     assert read_values(path, None, 2.0, 0.0).power_factor == 1.0
-    said = {"one": said, "another": {"calibration_factor": 7.0}}
-    if factor != 1:
-        with pytest.raises(SarsplatError, match="states several factors on its power"):
-            read_values(
-                written(tmp_path, "a.tif", SIXTEEN, description=json.dumps(said), metadata=None), None, 1.0, 0.0
-            )
 
 
 def test_complex_numbers_of_halves_and_bytes(tmp_path):

@@ -249,7 +249,7 @@ def test_directions_are_extrapolated_within_a_cell_of_the_grid_and_other_images_
     )
     assert any("for the geolocation grid is not in WGS 84" in text for text in made.source["assumptions"])
     with pytest.raises(SarsplatError, match="has no 'SSAR/frequencyA'; give one of LSAR/frequencyA, LSAR/frequencyB"):
-        import_rslc(path, tmp_path / "out", size_m=50.0, images="SSAR/frequencyA")
+        import_rslc(path, tmp_path / "out", size_m=50.0, images="SSAR/frequencyA", overwrite=True)
 
 
 def test_data_in_other_files_are_not_read(tmp_path):

@@ -104,7 +104,7 @@ def hdf5_array(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
 
 
 def complex_of(stored: Shaped[np.ndarray, "*shape"]) -> Shaped[np.ndarray, "*shape"]:
-    """Join records of real and imaginary part to complex numbers; other arrays stay as they are."""
+    """Join records of real and imaginary part to complex numbers; return other arrays unchanged."""
     if stored.dtype.names not in (("r", "i"), ("real", "imag")):
         return stored
     real, imaginary = (stored[name] for name in stored.dtype.names)

@@ -127,6 +127,11 @@ def read_pictures(
         factor, stated = values.power_factor, backscatter
         if row.power_factor is not None:
             factor = row.power_factor
+        elif math.isnan(factor):
+            raise SarsplatError(
+                f"{row.path} states several factors on its power; give the right ones in a column of the table: "
+                "`columns={'calibration-factor': 'NAME'}`"
+            )
         elif factor != 1 and (stated := values.tags.backscatter or backscatter) != backscatter != "beta0":
             raise SarsplatError(f"{row.path} says that it holds {stated}; leave out `backscatter`")
         values = replace(values, image=_beta0(values.image, view, stated, factor))

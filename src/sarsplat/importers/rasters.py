@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -46,7 +47,7 @@ class Tags:
     offset: float = 0.0
     """Number added after that."""
     power_factor: float = 1.0
-    """Factor on the power: the square of a producer's `scale_factor`, or its `calibration_factor`."""
+    """Factor on the power: the square of a producer's `scale_factor`, or its `calibration_factor`; NaN of several."""
     backscatter: Backscatter | None = None
     """Normalisation of that power, if stated."""
     absent: Bool[np.ndarray, "rows columns"] | None = field(default=None, compare=False)
@@ -98,13 +99,11 @@ def _calibration(path: Path, description: str, tags: Mapping[str, str]) -> dict[
     except (ValueError, RecursionError):
         stated = [*_named(tags)]
     factors = {float(value) ** _FACTORS[name] for name, value in stated if name in _FACTORS and _is_factor(value)}
-    if len(factors) > 1:
-        raise SarsplatError(
-            f"{path} states several factors on its power ({', '.join(f'{one:g}' for one in sorted(factors))}); give "
-            "the right one in a column of the table, `columns={'calibration-factor': 'NAME'}`"
-        )
     kinds = {_NORMALISATIONS.get(str(value).lower()) for name, value in stated if name == "radiometry"}
-    return {"power_factor": factors.pop(), "backscatter": kinds.pop() if len(kinds) == 1 else None} if factors else {}
+    if not factors:
+        return {}
+    factor, *others = factors
+    return {"power_factor": math.nan if others else factor, "backscatter": kinds.pop() if len(kinds) == 1 else None}
 
 
 def _named(document: Any) -> Iterator[tuple[str, Any]]:

@@ -101,7 +101,7 @@ def import_sicd(
     -------
     Dataset
         Complex images; β⁰ (calibration "absolute") if every file states the factor to it, to σ⁰, γ⁰ or RCS.
-        `source["assumptions"]` lists what was assumed.
+        `source["assumptions"]` lists assumptions.
 
     Raises
     ------

@@ -117,12 +117,12 @@ def _to_beta0(sicd: Sicd, layout: Layout) -> dict[str, float]:
     Pixels with a level azimuth axis are larger than in a tilted slant plane. With the slope s of the view's image plane
     and the grazing angle θ, β⁰ = σ⁰ / cos s and σ⁰ = γ⁰ sin θ; RCS belongs to a peak, whose response has an area.
     """
-    of_ground = 1 / float(layout.view.look.frame[1, 2])
+    cos_slope, sin_grazing = float(layout.view.look.frame[1, 2]), -float(layout.view.look.frame[2, 2])
     area = math.prod(axis.area_per_width / axis.bandwidth for axis in sicd.axes)
     return {
         "BetaZero": math.cos(math.radians(layout.tilt_deg - layout.view.tilt_deg)),
-        "SigmaZero": of_ground,
-        "GammaZero": of_ground * math.sin(math.radians(layout.view.grazing_deg)),
+        "SigmaZero": 1 / cos_slope,
+        "GammaZero": sin_grazing / cos_slope,
         "RCS": abs(float(np.linalg.det(layout.slopes))) / area,
     }
 

@@ -50,7 +50,7 @@ _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 
 
 _VISIBLE = "KHR_node_visibility"
 _HARMLESS = re.compile(r"[A-Z]+_(materials|texture|lights|xmp)\w*|KHR_mesh_quantization|" + _VISIBLE)
-"""Names of glTF's extensions that leave the surface as it is, or that are read here."""
+"""Names of glTF's extensions that do not change the surface, or that are read here."""
 _FAN, _TRIANGLES = 6, 4
 """Modes of primitives of a .glb file."""
 _INDICES = {5121: "u1", 5123: "<u2", 5125: "<u4"}
