@@ -80,7 +80,7 @@ def test_columns_that_say_that_they_are_no_degrees_from_the_nose(tmp_path, named
     [
         ("file,azimuth_rad,grazing (rad),pixel_spacing_cm", 57.29577951308232, 10),
         ("file,Azimuth (gon),Grazing (gon),spacing (mm)", 0.9, 100),
-        ("file,azimuth (arcmin),grazing_deg,PixelSpacingFeet", 1 / 60, 1 / 3.048),
+        ("file,azimuth (mrad),grazing_deg,PixelSpacingFeet", 0.05729577951308232, 1 / 3.048),
     ],
 )
 def test_units_in_names_of_columns_are_converted(tmp_path, names, turn, length):

@@ -181,22 +181,23 @@ def _refuse_unread_tags(path: Path, crs: Any) -> None:
             tags: Any = {tag.code: tag.value for tag in tiff.pages.first.tags.values()}
             known = tiff.pages.first.dtype is not None and UNDEFINED not in np.ravel(tags.get(_SAMPLES, 1))
     except TypeError:  # of numpy, which has no such type
-        known = False
-    if not known:
-        raise SarsplatError(
-            f"{path} has samples of an undefined format, or complex ones of 8 or packed 16 bits; write them again as "
-            "float32 or complex64"
-        )
-    refuse_turned(path, tags.get(_ORIENTATION, 1))
+        known, tags = False, {}
+    refuse_turned(path, tags.get(_ORIENTATION, 1) if known else 1)
     rows = np.reshape(tags.get(KEYS, ())[4:], (-1, 4)).astype(int)
     stated = {key: value for key, place, _, value in rows.tolist() if place == 0}
     if 3076 in stated and ((crs is not None and crs.to_2d().to_epsg()) or 1.0 in np.ravel(tags.get(_DOUBLES, ()))):
         del stated[3076]  # GDAL knows the unit of a numbered system; an own unit may be one of 1 m
-    for key, (usual, unit) in _UNIT_KEYS.items():
-        if stated.get(key, 0) not in (0, usual):
-            raise SarsplatError(
-                f"{path} has another unit than {unit} (EPSG {stated[key]}); convert it, as by gdalwarp -t_srs"
-            )
+    problems = [
+        f"another unit than {unit} (EPSG {stated[key]}); convert it, as by gdalwarp -t_srs"
+        for key, (usual, unit) in _UNIT_KEYS.items()
+        if stated.get(key, 0) not in (0, usual)
+    ]
+    if not known:
+        problems = [
+            "samples of an undefined format, or complex ones of 8 or packed 16 bits; write float32 or complex64"
+        ]
+    if problems:
+        raise SarsplatError(f"{path} has {problems[0]}")
 
 
 def refuse_turned(path: Path, orientation: int) -> None:

@@ -48,22 +48,16 @@ _SHORT = {
 _LENGTH, _ANGLE = "length", "angle"
 _RADIAN = math.degrees(1.0)
 _UNITS: dict[str, tuple[str, float]] = {
-    word: (kind, factor)
-    for kind, factor, words in (
-        *((_LENGTH, 1.0, "m metre metres meter meters"), (_LENGTH, 1e3, "km"), (_LENGTH, 0.1, "dm")),
-        *((_LENGTH, 0.01, "cm centimetre centimetres centimeter centimeters"), (_LENGTH, 1e-6, "µm μm um")),
-        *((_LENGTH, 1e-3, "mm millimetre millimetres millimeter millimeters"), (_LENGTH, 0.0254, "inch inches in")),
-        *((_LENGTH, 0.3048, "ft foot feet"), (_LENGTH, 0.9144, "yd yard yards"), (_ANGLE, 1.0, "deg degree degrees")),
-        *((_ANGLE, _RADIAN, "rad radian radians"), (_ANGLE, _RADIAN / 1e3, "mrad"), (_ANGLE, 1 / 60, "arcmin")),
-        *(
-            (_ANGLE, 0.9, "gon gradian gradians"),
-            (_ANGLE, 1 / 3600, "arcsec"),
-            ("unit of several sizes", 1.0, "mil mils"),
-        ),
-    )
-    for word in words.split()
+    **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), (_LENGTH, 1.0)),
+    **{word: (_LENGTH, size) for word, size in {"km": 1e3, "dm": 0.1, "cm": 0.01, "mm": 1e-3, "µm": 1e-6}.items()},
+    **dict.fromkeys(("inch", "inches", "in"), (_LENGTH, 0.0254)),
+    **dict.fromkeys(("ft", "foot", "feet"), (_LENGTH, 0.3048)),
+    **dict.fromkeys(("deg", "degree", "degrees"), (_ANGLE, 1.0)),
+    **dict.fromkeys(("rad", "radian", "radians"), (_ANGLE, _RADIAN)),
+    **{word: (_ANGLE, size) for word, size in {"mrad": _RADIAN / 1e3, "gon": 0.9, "gradian": 0.9}.items()},
+    **dict.fromkeys(("mil", "mils", "yd", "arcmin", "arcsec"), ("another unit", 1.0)),
 }
-"""Words for units in names of columns → quantity, and m or degrees of one (grad may be a degree or a gradian)."""
+"""Words in names of columns → quantity, and m or degrees of one (the German Grad is a degree)."""
 _MEASURED = {
     **dict.fromkeys(("azimuth", "heading", "grazing", "incidence", "azimuth-std", "tilt"), (_ANGLE, 1.0)),
     "baseline": (_ANGLE, _RADIAN),

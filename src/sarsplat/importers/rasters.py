@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -14,6 +13,7 @@ import numpy as np
 import tifffile
 from jaxtyping import Bool, Complex64, Shaped
 
+from sarsplat.data.csv_table import parsed
 from sarsplat.data.files import open_file
 from sarsplat.data.geotiff import UNDEFINED, Georeference, georeference_of, opened_raster
 from sarsplat.errors import SarsplatError, shown
@@ -25,11 +25,9 @@ OTHERS = (".png", ".jpg", ".jpeg", ".npy", ".mat")
 _SIDECAR = ".aux.xml"
 _FACTORS = {"scale_factor": 2, "calibration_factor": 1}
 """Names of producers' factors (Capella's on the magnitude, ICEYE's on the power) → exponent for the power."""
-_NORMALISATIONS: dict[str, Backscatter] = {
-    "beta_nought": "beta0",
-    "sigma_nought": "sigma0",
-    "gamma_nought": "gamma0",
-}
+_NORMALISATIONS: dict[str, Backscatter] = {f"{one}_nought": f"{one}0" for one in ("beta", "sigma", "gamma")}
+_STATED = re.compile(r'"(?:\w+:)?(scale_factor|calibration_factor|radiometry)"\s*:\s*"?([\w.+-]+)', re.IGNORECASE)
+"""A factor or its normalisation in JSON, perhaps with a prefix."""
 _GEO_KEYS = 34735
 _MEANINGS = {274, 33550, 33922, 34264, _GEO_KEYS, 42112, 42113}
 """Tags of orientation, places, scales and "no data"."""
@@ -86,40 +84,17 @@ def _scaling(path: Path, file: Any, bands: Iterable[int]) -> dict[str, Any]:
             f"{path} names {shown(sorted(stated))} as scale and offset; give finite ones, equal in all bands"
         )
     ((scale, offset),) = stated
-    tags = file.tags()
-    text = tags.pop("TIFFTAG_IMAGEDESCRIPTION", "")
-    return {"scale": scale, "offset": offset, **_calibration(path, text, tags)}
+    tags = "\n".join(f'"{name}": "{text}"' for name, text in file.tags().items())
+    return {"scale": scale, "offset": offset, **_calibration(tags)}
 
 
-def _calibration(path: Path, description: str, tags: Mapping[str, str]) -> dict[str, Any]:
-    """Return a producer's factor on the power and its normalisation, by tags or the JSON of an image's description."""
-    try:
-        document = json.loads(description) if description.lstrip().startswith("{") else None
-        stated = [*_named([tags, document])]
-    except (ValueError, RecursionError):
-        stated = [*_named(tags)]
-    factors = {float(value) ** _FACTORS[name] for name, value in stated if name in _FACTORS and _is_factor(value)}
-    kinds = {_NORMALISATIONS.get(str(value).lower()) for name, value in stated if name == "radiometry"}
-    if not factors:
-        return {}
-    factor, *others = factors
-    return {"power_factor": math.nan if others else factor, "backscatter": kinds.pop() if len(kinds) == 1 else None}
-
-
-def _named(document: Any) -> Iterator[tuple[str, Any]]:
-    """Yield names, in small letters and without prefix, and values of a JSON document."""
-    for name, value in document.items() if isinstance(document, Mapping) else enumerate(document):
-        if isinstance(value, Mapping | list):
-            yield from _named(value)
-        else:
-            yield str(name).lower().rpartition(":")[2], value
-
-
-def _is_factor(value: Any) -> bool:
-    try:
-        return 1e-15 <= float(value) <= 1e15
-    except (TypeError, ValueError):
-        return False
+def _calibration(text: str) -> dict[str, Any]:
+    """Return a producer's factor on the power and its normalisation, by tags or the JSON of a description."""
+    stated = {(name.lower(), value.lower()) for name, value in _STATED.findall(text)}
+    numbers = {(name, parsed(value)) for name, value in stated if name in _FACTORS}
+    factor, *others = {number ** _FACTORS[name] for name, number in numbers if 1e-15 <= number <= 1e15} or {1.0}
+    kind = {_NORMALISATIONS.get(value) for name, value in stated if name == "radiometry"} or {None}
+    return {"power_factor": math.nan if others else factor, "backscatter": kind.pop() if len(kind) == 1 else None}
 
 
 def first_georeference(paths: Iterable[Path]) -> Georeference | None:
@@ -156,7 +131,7 @@ def _plain_tiff(path: Path) -> tuple[Shaped[np.ndarray, "rows columns"], Tags] |
                 pixels, description = _halves(file, page) if halves else page.asarray(), page.description
         except Exception:  # a garbled TIFF can fail anywhere inside the parser, with any exception
             return None
-    return pixels, Tags(**_calibration(path, description, {}))
+    return pixels, Tags(**_calibration(description))
 
 
 def _halves(file: BinaryIO, page: Any) -> Complex64[np.ndarray, "rows columns"]:

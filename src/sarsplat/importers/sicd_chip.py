@@ -136,12 +136,9 @@ def contradictory_calibration(sicd: Sicd, layout: Layout) -> str | None:
         if name in sicd.calibration
     }
     used, *others = factors
-    for name in others:
-        apart_db = float(to_db(factors[name] / factors[used])) if factors[used] > 0 else 0.0
-        if abs(apart_db) > _SAME_DB:
-            said = f"{used}SFPoly and {name}SFPoly of {sicd.path.name} differ by {abs(apart_db):.1f} dB in β⁰"
-            return f"{said}; the first is used"
-    return None
+    apart = {name: abs(float(to_db(factors[name] / factors[used]))) for name in others if factors[used] > 0}
+    wrong = [f"{name}SFPoly by {decibels:.1f} dB" for name, decibels in apart.items() if decibels > _SAME_DB]
+    return f"β⁰ by {used}SFPoly of {sicd.path.name}, which is used, differs from {', '.join(wrong)}" if wrong else None
 
 
 def _carrier(
