@@ -182,7 +182,7 @@ def _refuse_unread_tags(path: Path, crs: Any) -> None:
             known = tiff.pages.first.dtype is not None and UNDEFINED not in np.ravel(tags.get(_SAMPLES, 1))
     except TypeError:  # of numpy, which has no such type
         known, tags = False, {}
-    refuse_turned(path, tags.get(_ORIENTATION, 1) if known else 1)
+    refuse_turned(path, int(tags.get(_ORIENTATION, 1)))
     rows = np.reshape(tags.get(KEYS, ())[4:], (-1, 4)).astype(int)
     stated = {key: value for key, place, _, value in rows.tolist() if place == 0}
     if 3076 in stated and ((crs is not None and crs.to_2d().to_epsg()) or 1.0 in np.ravel(tags.get(_DOUBLES, ()))):
@@ -200,10 +200,10 @@ def _refuse_unread_tags(path: Path, crs: Any) -> None:
         raise SarsplatError(f"{path} has {problems[0]}")
 
 
-def refuse_turned(path: Path, orientation: int) -> None:
+def refuse_turned(path: Path, orientation: object) -> None:
     """Raise unless the orientation of a TIFF's or a camera's tag is upright."""
     if orientation != 1:
-        raise SarsplatError(f"{path} is stored turned (orientation {int(orientation)}); write it upright")
+        raise SarsplatError(f"{path} is stored turned (orientation {shown(orientation)}); write it upright")
 
 
 def georeference_of(raster: Any) -> Georeference | None:

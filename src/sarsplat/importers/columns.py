@@ -79,7 +79,7 @@ FACTORS: dict[str, tuple[int, tuple[Quantity, ...]]] = {
     "dn-per-magnitude": (-2, ("amplitude", "complex")),
     "dn-per-power": (-1, ("power",)),
     "scale-factor": (2, ("amplitude", "complex")),
-    "calibration-factor": (1, ("amplitude", "complex", "power", "db")),
+    "calibration-factor": (1, ("amplitude", "complex", "power")),
 }
 """Meaning → exponent that makes its number a factor on the power, and possible quantities of the pixels."""
 

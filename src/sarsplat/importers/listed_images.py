@@ -117,7 +117,7 @@ def read_pictures(
         values = read_values(
             row.path,
             pictures[-1].values.quantity if pictures else quantity,
-            _either(row.scale, scale),
+            _either(row.scale, scale if row.power_factor is None else 1.0),
             _either(row.offset, offset),
             listed.real,
         )

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import math
+import struct
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -37,7 +38,7 @@ _SPREAD = 0.9
 _BOTH_NEGATIVE = 0.75
 """Maximum share of pixels with negative real and imaginary part; a turning phase has both in a quarter of them."""
 
-_MANY_WRONG = (OSError, SyntaxError, ValueError, ZeroDivisionError, OverflowError, EOFError)
+_MANY_WRONG = (OSError, SyntaxError, ValueError, ZeroDivisionError, OverflowError, EOFError, TypeError, struct.error)
 
 
 def read_pixels(path: Path) -> Shaped[np.ndarray, "*shape"]:

@@ -29,7 +29,7 @@ from sarsplat.names import Quantity, Side
 
 _SCALES = 1e-15, 1e15
 """Least and largest scale of pixels; the square of no magnitude leaves float32."""
-_PRODUCTS = {"manifest.safe": "SAFE (Sentinel-1)", "img-": "CEOS (ALOS)", "led-": "CEOS (ALOS)"}
+_PRODUCTS = {"manifest.safe": "SAFE (Sentinel-1)", "led-al": "CEOS (ALOS)"}
 """Beginnings of files' names, in small letters → layouts of satellites' products."""
 _ROUNDED_DEG = 1.0 + 1e-6
 """Maximum difference from 90° of the sum of grazing and incidence angles in whole degrees."""
