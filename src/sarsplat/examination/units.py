@@ -49,14 +49,12 @@ _OPTIONS = {"sicd": ("looks",), "rslc": ("looks",), "mstar": (), "sample": (), "
 """Options of the import by the kind of the dataset's `source`; `_ALL_OPTIONS` for other kinds."""
 
 _SQUARED = {
-    "": "square the values (quantity='amplitude')",
-    "power": "square the values (quantity='amplitude')",
     "amplitude": "square the numbers in the files if they are roots of amplitudes",
+    "complex": "square the magnitudes in the files if they are roots of amplitudes",
     "db": "double the decibels (`scale=2`) if they are 10·log10 of amplitudes",
 }
 """Quantity of a dataset's files → remedy if speckle has too little contrast, and the looks are right."""
 _ROOTS = {
-    "": "take the root of the values (quantity='power') if they were squared twice",
     "amplitude": "take the root of the values (quantity='power') if they were squared twice",
     "power": "take the root of the numbers in the files if these are squares of power",
     "complex": "take the root of the magnitudes in the files if these are power",
@@ -182,17 +180,14 @@ def _speckle(dataset: Dataset, examined: Examination) -> bool:
             )
         )
     elif contrast < (of_power * of_amplitude) ** 0.5:
-        remedies = {name: text for name, text in {"quantity": _SQUARED.get(quantity)}.items() if text}
-        if quantity in ("", "power"):
-            remedies["looks"] = "give another number of `looks` if they are power"
-        else:  # squares are less likely: the looks are wrong
-            remedies = {"looks": "give another number of `looks`"} | remedies
-        if remedies.get("quantity") == _SQUARED["power"] and dataset.source.get("geocoded"):  # amplitude is less likely
-            looks = f"`looks={1 / contrast**2:.2g}`"
-            remedies = {
-                "looks": f"give the looks that are left after pixels were interpolated to the map ({looks})",
-                "quantity": f"{remedies['quantity']} if they are amplitude",
-            }
+        looks, squared = "give another number of `looks`", "square the values (quantity='amplitude')"
+        remedies = {"quantity": squared, "looks": f"{looks} if they are power"}
+        if dataset.source.get("geocoded"):  # amplitude is less likely
+            left = f"`looks={1 / contrast**2:.2g}`"
+            looks = f"give the looks that are left after pixels were interpolated to the map ({left})"
+            remedies = {"looks": looks, "quantity": f"{squared} if they are amplitude"}
+        if quantity in _SQUARED:  # squares are less likely
+            remedies = {"looks": looks, "quantity": _SQUARED[quantity]}
         wrong = (
             f"the {measured}, as of amplitude with {stated} ({of_amplitude:.2f}), not of power ({of_power:.2f}); "
             + _remedy(dataset, **remedies)
@@ -200,7 +195,9 @@ def _speckle(dataset: Dataset, examined: Examination) -> bool:
     elif contrast > of_power**1.5 / of_amplitude**0.5:
         wrong = (
             f"the {measured}, but power of {stated} has {of_power:.2f}; "
-            + _remedy(dataset, quantity=_ROOTS.get(quantity, _ROOTS[""]), looks="give another number of `looks`")
+            + _remedy(
+                dataset, quantity=_ROOTS.get(quantity, _ROOTS["amplitude"]), looks="give another number of `looks`"
+            )
             + f", or import with {_DECIBELS}" * (bool(decibels) and "quantity" in _options(dataset))
         )
     if wrong:
