@@ -25,7 +25,7 @@ OTHERS = (".png", ".jpg", ".jpeg", ".npy", ".mat")
 _SIDECAR = ".aux.xml"
 _FACTORS = {"scale_factor": 2, "calibration_factor": 1}
 """Names of producers' factors (Capella's on the magnitude, ICEYE's on the power) → exponent for the power."""
-_NORMALISATIONS: dict[str, Backscatter] = {f"{one}_nought": f"{one}0" for one in ("beta", "sigma", "gamma")}
+_NORMALISATIONS: dict[str, Backscatter] = dict(beta_nought="beta0", sigma_nought="sigma0", gamma_nought="gamma0")
 _STATED = re.compile(r'"(?:\w+:)?(scale_factor|calibration_factor|radiometry)"\s*:\s*"?([\w.+-]+)', re.IGNORECASE)
 """A factor or its normalisation in JSON, perhaps with a prefix."""
 _GEO_KEYS = 34735

@@ -166,14 +166,14 @@ def read_rslc(path: Path, images: str | None = None) -> Rslc:
         names, *others = [
             [name for name in _POLARISATIONS if f"{at}/{name}" in file] for at in (group, *groups.values())
         ]
-        images = [hdf5_array(path, file, f"{group}/{name}") for name in names]
-        if not images or any(image.size == 0 or image.id.get_storage_size() == 0 for image in images):
+        stored = [hdf5_array(path, file, f"{group}/{name}") for name in names]
+        if not stored or any(image.size == 0 or image.id.get_storage_size() == 0 for image in stored):
             what = f"no pixels of {', '.join(names)}" if names else "no images"
             raise SarsplatError(
                 f"{path} has {what} in {group}; it describes images without holding them, as examples of a format do, "
                 "so give the whole product"
             )
-        shapes = {image.shape for image in images}
+        shapes = {image.shape for image in stored}
         if len(shapes) != 1 or any(len(shape) != 2 for shape in shapes):
             _refuse(path, f"has no images of one size in {group}, but {' and '.join(sorted(map(shown, shapes)))}")
         shape = shapes.pop()
