@@ -308,7 +308,17 @@ def _mesh(kind: str) -> list[bytes]:
         case "off":
             square = b"OFF\n4 1 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n4 0 1 2 3\n"
             return [box.export(file_type="off").encode(), square, square.replace(b"1 1 0\n", b".2 .2 0\n")]
-    return [scene.export(file_type="glb"), _instances(scene.export(file_type="glb"))]
+    glb = scene.export(file_type="glb")
+    return [glb, _instances(glb), _with_fan(glb)]
+
+
+def _with_fan(data: bytes) -> bytes:
+    """The first mesh as a fan, and a hidden node."""
+    length = int.from_bytes(data[12:16], "little")
+    header = json.loads(data[20 : 20 + length])
+    header["meshes"][0]["primitives"][0]["mode"] = 6
+    header["nodes"][-1]["extensions"] = {"KHR_node_visibility": {"visible": False}}
+    return _pack_glb(json.dumps(header).encode(), data[20 + length :])
 
 
 def _instances(data: bytes) -> bytes:

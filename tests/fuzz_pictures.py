@@ -83,6 +83,7 @@ def pictures() -> list[bytes]:
         (zeros, {"compression": "zlib"}),
         (_SIGNAL, {"photometric": "minisblack"}),
         (eight, {"photometric": "miniswhite", "extratags": _TAGS}),
+        (eight, {"description": '{"scale_factor": 0.1, "radiometry": "sigma_nought"}'}),
     ):
         buffer = io.BytesIO()
         tifffile.imwrite(buffer, pixels, **{"metadata": None, **options})

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
+import h5py
 import numpy as np
 import scipy.io
 
@@ -47,7 +48,12 @@ def sicd_seeds() -> list[bytes]:
     """One of each pixel type, small, and one of the oldest version."""
     made = []
     for kind, pixel_type in (("PLANE", "RE16I_IM16I"), ("RGAZIM", "AMP8I_PHS8I"), ("RGZERO", "RE32F_IM32F")):
-        options = {"kind": kind, "pixel_type": pixel_type, "amplitude_table": kind == "RGAZIM", "beta_zero": 2.0}
+        options = {
+            "kind": kind,
+            "pixel_type": pixel_type,
+            "amplitude_table": kind == "RGAZIM",
+            "calibration": (("BetaZero", 2.0),),
+        }
         recording = sicds.Recording(rows=24, columns=20, **options)
         made.append(written(lambda path, one=recording: sicds.write_sicd(path, sicds.Track(), [(0, 0, 0)], one)))
     return [*made, sicds.of_version(made[-1], "0.4.0")]
@@ -127,6 +133,11 @@ def mat_seeds() -> list[bytes]:
         cells = np.array([1.0, "x", NOISE[0]], object)
         scipy.io.savemat(buffer, {"data": record, "cells": cells}, do_compression=compressed)
         made.append(buffer.getvalue())
+    with h5py.File(buffer := io.BytesIO(), "w") as file:  # version 7.3, whose header is 512 bytes before it
+        file["data/fp"], file["data/freq"], file["cells"] = NOISE[0], np.arange(6.0), np.array([[72]], "u2")
+        file["signal"] = np.rec.fromarrays([NOISE[0], NOISE[0]], [("real", "f8"), ("imag", "f8")])
+        file["cells"].attrs["MATLAB_class"] = np.bytes_("char")
+    made.append(buffer.getvalue())
     return [*made, made[0][:128] + _packed_mat(made[0][128:] + bytes(1 << 22))]  # a bomb: 4 MiB in 5 KiB
 
 

@@ -46,8 +46,8 @@ def write_pictures(
 
 
 def import_pictures(folder: Path, **options) -> Dataset:
-    options = {"quantity": "power", "calibration": "absolute", **LENGTHS, **options}
-    return import_folder(folder, folder.parent / "out", overwrite=True, **options)
+    options = {"quantity": "power", "calibration": "absolute", "overwrite": True, **LENGTHS, **options}
+    return import_folder(folder, folder.parent / "out", **options)
 
 
 def write_passes(folder: Path, signals: np.ndarray, columns: dict[str, list], views=VIEWS) -> Path:

@@ -79,7 +79,7 @@ class Recording:
     kind: str = "PLANE"
     pixel_type: str = "RE32F_IM32F"
     amplitude_table: bool = False
-    beta_zero: float | None = None
+    calibration: tuple[tuple[str, float], ...] = ()
     window: str | None = "UNIFORM"
     parameters: tuple[tuple[str, str], ...] = ()
     sign: int = -1
@@ -285,8 +285,8 @@ def describe(track: Track, recording: Recording) -> tuple[lxml.etree._ElementTre
         "RgAutofocus": "NO",
     }
     root.append(sk.compute_scp_coa(tree))
-    if recording.beta_zero is not None:
-        sicd["Radiometric"]["BetaZeroSFPoly"] = np.array([[recording.beta_zero]])
+    for name, factor in recording.calibration:
+        sicd["Radiometric"][f"{name}SFPoly"] = np.array([[factor]])
     if recording.kind == "RGAZIM":
         sicd["PFA"] = {
             "FPN": up,

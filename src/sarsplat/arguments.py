@@ -54,9 +54,9 @@ def checks_arguments(*, instead: Callable[[str, object], str | None]) -> Callabl
 def checks_arguments(function: Any = None, *, instead: Callable[[str, object], str | None] | None = None) -> Any:
     """Decorate a function to raise a SarsplatError for arguments of other types than its annotations.
 
-    Types are classes, paths, numbers, arrays, functions, mappings and sequences of them, and the fields of a
-    `TypedDict` (`**options: Unpack[...]`). Shapes, ranges and choices are left to the function. An unknown name is a
-    TypeError, as usual; `instead` may return the remedy for that name and value.
+    Types are classes, paths, numbers, choices, arrays, functions, mappings and sequences of them, and the fields of a
+    `TypedDict` (`**options: Unpack[...]`). Shapes and ranges are left to the function. An unknown name is a TypeError,
+    as usual; `instead` may return the remedy for that name and value.
     """
     if function is None:
         return partial(checks_arguments, instead=instead)
@@ -150,7 +150,7 @@ def _is_a(value: object, kind: Any) -> bool:
         return value is kind or any(cls.__name__ == kind for cls in type(value).__mro__)
     origin = typing.get_origin(kind) or kind
     if origin is Literal:
-        return isinstance(value, tuple(type(choice) for choice in typing.get_args(kind)))
+        return any(type(value) is type(choice) and value == choice for choice in typing.get_args(kind))
     if origin is Callable:
         return callable(value)
     if origin in _SEQUENCES:

@@ -44,6 +44,16 @@ def test_colours_and_opacities_become_scattering_and_depth(tmp_path):
     torch.testing.assert_close(read.scattering.parameters[0], torch.tensor([3.0, 0, -2, 0]))
 
 
+def test_filters_of_mip_splatting_are_folded_in_and_flat_gaussians_named(tmp_path):
+    table = columns() | {"filter_3D": np.full(COUNT, 0.3)}
+    read, plain = (read_gaussians_ply(write(tmp_path / "a.ply", one)) for one in (table, columns()))
+    torch.testing.assert_close(read.scales, torch.sqrt(plain.scales**2 + 0.09))
+    opacity = (1 - torch.exp(-plain.optical_depth)) * (plain.scales / read.scales).prod(1)
+    torch.testing.assert_close(1 - torch.exp(-read.optical_depth), opacity)
+    with pytest.raises(SarsplatError, match=r"flat Gaussians \(2DGS\), which have no scale_2; add it"):
+        read_gaussians_ply(write(tmp_path / "a.ply", {name: one for name, one in table.items() if name != "scale_2"}))
+
+
 @pytest.mark.parametrize("ends", ["\r\n", "\r"])
 def test_headers_may_have_other_line_ends(tmp_path, ends):
     plain = read_gaussians_ply(write(tmp_path / "a.ply", columns()))

@@ -108,9 +108,10 @@ def test_the_import_says_it_and_its_remedy_mends_it(tmp_path: Path) -> None:
     assert "import them with geocoded='level', or" in said
     assert contradictions(geocoded="level") == []
     lines = [f"{name},{(bearing + 90) % 360},{grazing}" for name, bearing, grazing in rows]
-    (tmp_path / "t.csv").write_text("\n".join(["file,heading,grazing", *lines]))
-    (said,) = contradictions(geocoded="level", columns={"azimuth": "heading"})
+    (tmp_path / "t.csv").write_text("\n".join(["file,direction,grazing", *lines]))
+    (said,) = contradictions(geocoded="level", columns={"azimuth": "direction"})
     assert "(`columns={'heading': 'NAME'}` look='right')" in said
+    (tmp_path / "t.csv").write_text("\n".join(["file,heading,grazing", *lines]))
     assert contradictions(geocoded="level", look="right") == []
     for name, _, _ in rows:  # an interpolation that averages
         np.save(tmp_path / name, gaussian_filter(np.load(tmp_path / name), 0.5))

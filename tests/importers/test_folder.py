@@ -114,10 +114,10 @@ def test_a_left_looking_radar_writes_mirror_images(tmp_path):
 
 def test_names_angles_and_lengths_of_a_table_of_ones_own(tmp_path):
     rows = [[f"{k}", 90 - azimuth, 60, 0.2, "Train" if k else "test-a", 1.5] for k, azimuth in enumerate(AZIMUTHS)]
-    folder = write_pictures(tmp_path / "in", POWER, rows, "shot,heading,Incidence Angle (deg),px,set,az_std_deg")
+    folder = write_pictures(tmp_path / "in", POWER, rows, "shot,turn,Incidence Angle (deg),px,set,az_std_deg")
     made = import_pictures(
         folder,
-        columns={"file": "shot", "az": "heading", "spacing": "px"},
+        columns={"file": "shot", "az": "turn", "spacing": "px"},
         azimuth_offset_deg=90,
         counter_clockwise=True,
         spacing_m=None,

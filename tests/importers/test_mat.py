@@ -66,6 +66,25 @@ def packed(data: bytes, level: int) -> bytes:
     return struct.pack("<II", 15, len(inner)) + inner
 
 
+def test_version_7_3(tmp_path):
+    """HDF5 reverses the axes; complex numbers are records, and text has numbers of letters."""
+    h5py = pytest.importorskip("h5py")
+    values = np.arange(12.0).reshape(3, 4)
+    with h5py.File(tmp_path / "a.mat", "w", userblock_size=512) as file:
+        file["values"], file["one/deeper"] = values.T, values.T.astype("i2")
+        file["signal"] = np.rec.fromarrays([values.T, -values.T], [("real", "f8"), ("imag", "f8")])
+        file["text"] = np.array([[72]], "u2")
+        file["text"].attrs["MATLAB_class"] = np.bytes_("char")
+        file.create_group("#refs#")
+    with (tmp_path / "a.mat").open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\0\2IM")
+    read = read_mat(tmp_path / "a.mat")
+    assert set(read) == {"values", "one", "signal"}
+    np.testing.assert_array_equal(read["values"], values)
+    np.testing.assert_array_equal(read["signal"], values * (1 - 1j))
+    np.testing.assert_array_equal(read["one"]["deeper"], values)
+
+
 @pytest.mark.parametrize("order", ["<", ">"])
 def test_either_byte_order_and_values_in_a_narrower_type(tmp_path, order):
     (tmp_path / "a.mat").write_bytes(
@@ -79,7 +98,8 @@ def test_either_byte_order_and_values_in_a_narrower_type(tmp_path, order):
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        (b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\0\2IM\x89HDF", "save it with -v7"),
+        (b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\0\2IM\x89HDF", "not a readable HDF5 file"),
+        (b"MATLAB 4", "is not a MATLAB file; save it in MATLAB with -v7"),
         (mat(matrix(), matrix()), "the variable 'a' twice"),
         (mat(matrix(kind=16)), "values of type 16 in an array of float64"),
         (mat(matrix((1, 1), bytes(4), 7, 12)), "values of type 7 in an array of int32"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import struct
 import zlib
 from pathlib import Path
@@ -206,8 +207,58 @@ def test_scale_and_offset_of_the_file(tmp_path):
     np.testing.assert_allclose(values.image, 10 ** ((EIGHT * 0.25 - 60) / 10), rtol=1e-5)
     assert values.assumptions == ("pixels are multiplied by 0.25, and -60 is added, as the files say",)
     np.testing.assert_allclose(read_values(path, "db", 0.1, 0.0).image, 10 ** (EIGHT * 0.1 / 10), rtol=1e-5)
-    with pytest.raises(SarsplatError, match=r"names inf, -60\.0 as scale and offset"):
+    with pytest.raises(SarsplatError, match=r"names \[\(inf, -60\.0\)\] as scale and offset"):
         read_picture(tagged(tmp_path, EIGHT, (42112, "s", 0, text.replace("0.25", "inf"), True)))
+
+
+@pytest.mark.parametrize("ending", ["png", "tif"])
+def test_scale_in_a_sidecar(tmp_path, ending):
+    path = written(tmp_path, f"a.{ending}", EIGHT)
+    band = '<PAMRasterBand band="1"><Offset>3</Offset><Scale>0.5</Scale></PAMRasterBand>'
+    path.with_name(f"a.{ending}.aux.xml").write_text(f"<PAMDataset>{band}</PAMDataset>")
+    np.testing.assert_allclose(read_values(path, "power", 1.0, 0.0).image, EIGHT * 0.5 + 3)
+
+
+@pytest.mark.parametrize("compression", [None, "zlib"])
+@pytest.mark.parametrize(
+    ("said", "factor", "kind"),
+    [
+        ({"collect": {"image": {"scale_factor": 0.01, "radiometry": "sigma_nought"}}}, 1e-4, "sigma0"),
+        ({"product": [{"iceye:calibration_factor": "2e-6"}]}, 2e-6, None),
+        ({"scale_factor": "none", "other": 3}, 1.0, None),
+    ],
+)
+def test_factors_of_producers(tmp_path, said, factor, kind, compression):
+    path = written(tmp_path, "a.tif", SIXTEEN, description=json.dumps(said), metadata=None, compression=compression)
+    values = read_values(path, None, 1.0, 0.0)
+    assert (values.power_factor, values.tags.backscatter) == (pytest.approx(factor), kind)
+    assert read_values(path, None, 2.0, 0.0).power_factor == 1.0
+
+
+def test_complex_numbers_of_halves_and_bytes(tmp_path):
+    """As GDAL writes the first, and nothing reads the second."""
+    halves = np.stack([REAL, -REAL], axis=-1).astype("<f2")
+    for parts, bits, kind in ((halves, 32, 6), (halves.astype("i1"), 16, 5), (REAL, 32, 4)):
+        tags = (
+            (256, 4),
+            (257, 3),
+            (258, bits),
+            (259, 1),
+            (262, 1),
+            (273, 8),
+            (277, 1),
+            (278, 3),
+            (279, parts.nbytes),
+            (339, kind),
+        )
+        entries = b"".join(struct.pack("<HHII", code, 4, 1, value) for code, value in tags) + bytes(4)
+        head = struct.pack("<2sHI", b"II", 42, 8 + parts.nbytes) + parts.tobytes() + struct.pack("<H", len(tags))
+        (tmp_path / "a.tif").write_bytes(head + entries)
+        if kind == 6:
+            np.testing.assert_allclose(read_pixels(tmp_path / "a.tif"), REAL * (1 - 1j), rtol=1e-3)
+        else:
+            with pytest.raises(SarsplatError, match="has samples of an undefined format, or complex ones of 8"):
+                read_pixels(tmp_path / "a.tif")
 
 
 @pytest.mark.parametrize(

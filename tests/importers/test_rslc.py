@@ -159,7 +159,6 @@ def test_the_place_on_earth_is_that_of_the_spot(tmp_path, longitude, height, tur
         {"coordinateY": np.full((5, 5, 5), np.nan)},
         {"coordinateY": 10 + np.random.default_rng(0).normal(size=(5, 5, 5))},
         {"Grid/zeroDopplerTime": np.floor(NODES[1])},
-        {"Grid/zeroDopplerTime": NODES[1] + 50},
     ],
 )
 def test_a_grid_that_does_not_tell_the_place_leaves_it_out(tmp_path, changed):
@@ -203,7 +202,8 @@ def test_images_of_a_left_looking_radar_are_laid_out_as_those_of_a_right_looking
 @pytest.mark.parametrize(
     ("changed", "options", "words"),
     [
-        ({"zeroDopplerTimeSpacing": None}, {}, "has no science/LSAR/RSLC/swaths/zeroDopplerTimeSpacing; give an RSLC"),
+        ({"zeroDopplerTimeSpacing": None}, {}, "has no science/LSAR/RSLC/swaths/zeroDopplerTimeSpacing; get it again"),
+        ({"Grid/slantRange": RANGES[0] - np.array([400.0, 200.0])}, {}, "slantRange from 799600 to 799800, but 800090"),
         ({"CenterFrequency": np.nan}, {}, "has no finite numbers as .*CenterFrequency"),
         ({"CenterFrequency": 3.0}, {}, "has 3.0 as .*CenterFrequency, not a number from 1e.08 to 1e.12"),
         ({"lookDirection": np.bytes_("up")}, {}, "says that its radar looks 'up', not left or right"),
@@ -232,6 +232,24 @@ def test_what_is_refused(tmp_path, changed, options, words):
     with pytest.raises(SarsplatError, match=words):
         imported(tmp_path, changed=changed, **options)
     assert not (tmp_path / "out").exists()
+
+
+def test_directions_are_extrapolated_within_a_cell_of_the_grid_and_other_images_are_said(tmp_path):
+    nodes = RANGES[0] + np.array([40.0, 140.0])  # of 0 to 174
+    west = np.interp(nodes, RANGES[[0, -1]], np.cos(np.radians([60.0, 50.0]))) * np.ones((2, 2, 1))
+    path = write_rslc(tmp_path / "a.h5", QUAD, {"Grid/slantRange": nodes, "losUnitVectorX": -west})
+    with h5py.File(path, "a") as file:
+        file.copy(IMAGES, f"{SWATHS}/frequencyB")
+        del file[f"{SWATHS}/frequencyB/HV"], file[f"{SWATHS}/frequencyB/VH"], file[f"{SWATHS}/frequencyB/HH"]
+    made = import_rslc(path, tmp_path / "out", size_m=50.0, pixel=(20, 5), images="LSAR/frequencyB")
+    whole = imported(tmp_path, pixel=(20, 5), size_m=50.0)
+    assert made.views[0].grazing_deg == pytest.approx(whole.views[0].grazing_deg)
+    assert any(
+        "also has LSAR/frequencyA (HH, HV, VH, VV), which is left out" in text for text in made.source["assumptions"]
+    )
+    assert any("for the geolocation grid is not in WGS 84" in text for text in made.source["assumptions"])
+    with pytest.raises(SarsplatError, match="has no 'SSAR/frequencyA'; give one of LSAR/frequencyA, LSAR/frequencyB"):
+        import_rslc(path, tmp_path / "out", size_m=50.0, images="SSAR/frequencyA", overwrite=True)
 
 
 def test_data_in_other_files_are_not_read(tmp_path):

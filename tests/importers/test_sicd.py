@@ -13,6 +13,8 @@ import pytest
 
 pytest.importorskip("sarkit")
 
+import lxml.etree
+
 from fuzz import watched
 from sarsplat import preset, reconstruct, render
 from sarsplat.cli import main
@@ -41,6 +43,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::sarsplat.errors.SarsplatWarning
 
 PLACES = [(0.0, 0.0, 0.0), (8.0, -5.0, 0.0), (-12.0, 9.0, 3.0)]  # m east, north and above the spot
 SIZE = 36.0  # m
+BETA = (("BetaZero", 2.0),)
 
 
 def imported(folder: Path, track: Track, recording: Recording, places=PLACES, **options) -> Dataset:
@@ -192,7 +195,7 @@ def test_every_pixel_type_means_the_same(tmp_path, plain, pixel_type, table, tol
 def newest(tmp_path_factory) -> tuple[bytes, Dataset]:
     """A file of version 1.4.0, and its dataset."""
     folder = tmp_path_factory.mktemp("newest")
-    recording = Recording(kind="RGZERO", pixel_type="RE16I_IM16I", offset=(-6.0, 10.0, 0.0), beta_zero=2.0)
+    recording = Recording(kind="RGZERO", pixel_type="RE16I_IM16I", offset=(-6.0, 10.0, 0.0), calibration=BETA)
     made = imported(folder, Track(look="L"), recording, size_m=12.0)
     return (folder / "image.nitf").read_bytes(), made
 
@@ -237,18 +240,38 @@ def test_an_image_in_several_segments_is_one(tmp_path):
         np.testing.assert_array_equal(divided, sicd.read(rows, (5, 50)))
 
 
-def test_widths_weighting_and_beta_zero(tmp_path):
-    recording = Recording(window="TAYLOR", beta_zero=3.0, bandwidth=(2.0, 1.0), rows=400, columns=200)
+def test_widths_weighting_and_calibration(tmp_path):
+    recording = Recording(window="TAYLOR", calibration=BETA, bandwidth=(2.0, 1.0), rows=400, columns=200)
     dataset = imported(tmp_path, Track(), recording, size_m=20.0)
     assert dataset.calibration == "absolute"
     assert dataset.grid.resolution_m == pytest.approx((1.130, 0.565), rel=1e-3)
     assert dataset.grid.spacing_m == pytest.approx((0.8, 0.4), rel=1e-3)
     assert dataset.source["images"][0]["weighting"] == ["TAYLOR", "TAYLOR"]
-    relative = imported(tmp_path, Track(), replace(recording, beta_zero=None), size_m=20.0)
+    relative = imported(tmp_path, Track(), replace(recording, calibration=()), size_m=20.0)
     assert relative.calibration == "relative"
     assert relative.power.mean() == pytest.approx(1, rel=1e-3)
     as_stored = relative.signal * math.sqrt(relative.source["mean_power"])
-    assert dataset.signal == pytest.approx(as_stored * math.sqrt(3.0), abs=1e-5)
+    assert dataset.signal == pytest.approx(as_stored * math.sqrt(2.0), abs=1e-5)
+
+
+@pytest.mark.parametrize("track", [Track(), Track(squint=12)])
+def test_every_calibration_becomes_beta0(tmp_path, track):
+    """By angles that the file states: σ⁰ = β⁰ cos(slope) = γ⁰ sin(grazing); RCS is β⁰ times the response's area."""
+    expected = imported(tmp_path, track, Recording(calibration=BETA))
+    angles = lxml.etree.fromstring(xml_of((tmp_path / "image.nitf").read_bytes()))
+    slope, grazing = (
+        math.radians(float(angles.findtext(f"{{*}}SCPCOA/{{*}}{one}"))) for one in ("SlopeAng", "GrazeAng")
+    )
+    sigma = 2.0 * math.cos(slope)
+    factors = {"SigmaZero": sigma, "GammaZero": sigma / math.sin(grazing), "RCS": 2.0 / (1.5 * 1.4)}
+    for name, factor in factors.items():
+        made = imported(tmp_path, track, Recording(calibration=((name, factor),)))
+        assert made.calibration == "absolute"
+        assert made.signal == pytest.approx(expected.signal, rel=2e-4, abs=1e-5), name
+    with pytest.warns(
+        SarsplatWarning, match="by BetaZeroSFPoly of image.nitf, which is used, differs from SigmaZeroSFPoly by 3.0 dB$"
+    ):
+        imported(tmp_path, track, Recording(calibration=(*BETA, ("SigmaZero", 2 * sigma), ("RCS", factors["RCS"]))))
 
 
 @pytest.mark.parametrize(

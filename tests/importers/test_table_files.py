@@ -55,9 +55,14 @@ def test_incidence_angles_in_radians_and_azimuths_in_thousandths(tmp_path):
 @pytest.mark.parametrize(
     ("named", "columns", "sentence"),
     [
-        ("azimuth_rad", {"azimuth": "azimuth_rad"}, "'azimuth_rad' for the azimuth, which is not in degrees"),
-        ("Azimuth (gon)", {"azimuth": "Azimuth (gon)"}, "'Azimuth .gon.' for the azimuth, which is not in degrees"),
-        ("bearing", {}, "'bearing' for the azimuth, which counts from north by its name, .*azimuth_offset_deg"),
+        (
+            "Azimuth (mil)",
+            {"azimuth": "Azimuth (mil)"},
+            "'Azimuth .mil.' for the azimuth, whose name does not state one",
+        ),
+        ("azimuth_m", {}, "'azimuth_m' for the azimuth, whose name does not state one unit of angle; give degrees"),
+        ("bearing", {}, "'bearing' for the azimuth, which by its name is a direction of flight or sight"),
+        ("Track", {"azimuth": "Track"}, "columns={'heading': 'Track'}` and give `look`, or rename it"),
         ("compass_deg", {"azimuth": "compass_deg"}, "'compass_deg' for the azimuth, which counts from north"),
     ],
 )
@@ -68,6 +73,26 @@ def test_columns_that_say_that_they_are_no_degrees_from_the_nose(tmp_path, named
     if "north" in sentence:
         turned = import_pictures(folder, columns=columns, azimuth_offset_deg=-30)
         assert [view.azimuth_deg for view in turned.views] == [330, 60, 150, 240]
+
+
+@pytest.mark.parametrize(
+    ("names", "turn", "length"),
+    [
+        ("file,azimuth_rad,grazing (rad),pixel_spacing_cm", 57.29577951308232, 10),
+        ("file,Azimuth (gon),Grazing (gon),spacing (mm)", 0.9, 100),
+        ("file,azimuth (mrad),grazing_deg,PixelSpacingFeet", 0.05729577951308232, 1 / 3.048),
+    ],
+)
+def test_units_in_names_of_columns_are_converted(tmp_path, names, turn, length):
+    """Azimuths 0° to 270°, 30° above the horizon, with pixels of 10 cm."""
+    grazing = 30 if "grazing_deg" in names else 30 / turn
+    folder = pictures(
+        tmp_path, [f"{k}.npy,{azimuth / turn},{grazing},{length}" for k, azimuth in enumerate(ANGLES)], names
+    )
+    made = import_pictures(folder, spacing_m=None, resolution_m=None)
+    assert [view.azimuth_deg for view in made.views] == pytest.approx(ANGLES)
+    assert made.views[0].grazing_deg == pytest.approx(30)
+    assert made.grid.spacing_m == pytest.approx((0.1, 0.1))
 
 
 def test_sides_that_are_near_are_those_of_the_table(tmp_path):

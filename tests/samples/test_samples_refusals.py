@@ -18,14 +18,14 @@ SETS: list[tuple[dict[str, Any], str]] = [
     ({"grazing_deg": (0.0, 10.0)}, "grazing angle 0.0° is outside"),
     ({"crop": 33}, "crop is 33, but the images of the runs have 32 × 36 pixels; give at most 32"),
     ({"crop": 0}, "crop is 0; give at least one"),
-    ({"quantity": "phase"}, "quantity is 'phase'; give one of magnitude, power, complex"),
+    ({"quantity": "phase"}, "quantity is 'phase'; give one of 'magnitude', 'power', 'complex'"),
     ({"scale": "calibrated", "format": "png"}, "scale is 'calibrated', which the 8 bits of png cannot hold"),
     ({"jpeg_quality": 101}, "jpeg_quality is 101; give 1 to 100"),
     ({"ground": "Uniform"}, "ground is 'Uniform'; give learned, uniform or the file of a picture"),
 ]
 SINGLE: list[tuple[dict[str, Any], str]] = [
     ({"seed": -1}, "seed.* -1"),
-    ({"speckle": "grey"}, "speckle is 'grey'; give one of response, white, none"),
+    ({"speckle": "grey"}, "speckle is 'grey'; give one of 'response', 'white', 'none'"),
     ({"ground": "lerned"}, "ground is 'lerned'; give learned, uniform, or its power"),
     *(
         ({"ground": np.full((64, 36), bad, np.float32)}, r"is \[64, 36\] numbers, .*; give power")

@@ -76,6 +76,40 @@ def test_gaussians_in_a_glb_are_named(tmp_path):
         load_mesh(tmp_path / "a.glb")
 
 
+def glb(path: Path, *primitives: dict, **more: object) -> Path:
+    """A square of four corners around each primitive, 1 m by 1 m, and then one of a hidden node."""
+    corners = np.array([[0, 0, 0], [0, 0, 1], [1, 0, 1], [1, 0, 0]], "<f4")
+    data = corners.tobytes() + np.array([0, 1, 2, 3], "<u2").tobytes()
+    views = [{"buffer": 0, "byteLength": 48}, {"buffer": 0, "byteOffset": 48, "byteLength": 8}]
+    accessors = [
+        {"bufferView": 0, "componentType": 5126, "count": 4, "type": "VEC3", "min": [0, 0, 0], "max": [1, 0, 1]},
+        {"bufferView": 1, "componentType": 5123, "count": 4, "type": "SCALAR"},
+    ]
+    nodes = [{"mesh": 0}, {"mesh": 0, "scale": [9, 9, 9], "extensions": {"KHR_node_visibility": {"visible": False}}}]
+    meshes = [{"primitives": [{"attributes": {"POSITION": 0}, "mode": 6, **one} for one in primitives]}]
+    scene = {"asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0, 1]}], "nodes": nodes, "meshes": meshes}
+    scene |= {"accessors": accessors, "bufferViews": views, "buffers": [{"byteLength": len(data)}], **more}
+    text = json.dumps(scene).encode()
+    text += b" " * (-len(text) % 4)
+    head = struct.pack("<4sII", b"glTF", 2, 28 + len(text) + len(data)) + struct.pack("<I4s", len(text), b"JSON")
+    path.write_bytes(head + text + struct.pack("<I4s", len(data), b"BIN\0") + data)
+    return path
+
+
+@pytest.mark.parametrize("indices", [{}, {"indices": 1}])
+def test_fans_are_read_and_hidden_nodes_left_out(tmp_path, indices):
+    with pytest.warns(SarsplatWarning, match="left out 1 node that the file hides"):
+        mesh = load_mesh(glb(tmp_path / "a.glb", indices))
+    assert mesh.area == pytest.approx(1)
+    assert len(mesh.faces) == 2
+
+
+def test_extensions_that_a_glb_needs_are_named(tmp_path):
+    needed = ["KHR_materials_unlit", "EXT_mesh_gpu_instancing"]
+    with pytest.raises(SarsplatError, match="needs EXT_mesh_gpu_instancing, which is not read; export it without"):
+        load_mesh(glb(tmp_path / "a.glb", {}, extensionsRequired=needed))
+
+
 def test_parts_of_a_scene_become_one_mesh(tmp_path):
     boxes = [trimesh.creation.box((1, 1, 1)).apply_translation((shift, 0, 0)) for shift in (0.0, 5.0)]
     trimesh.Scene(boxes).export(tmp_path / "two.glb")

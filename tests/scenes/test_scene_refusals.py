@@ -149,7 +149,7 @@ SIMULATIONS: Refusals = [
     (images(BUILDING, reflectivity=np.full(10, np.nan)), "outside 0 to"),
     (images(grid=TAYLORED, source="splat"), "response is Taylor.* choose .source='raycast'"),
     (images(source="splat", ray_spacing=0.1), "leave it out"),
-    (images(source="magic"), "'magic'; choose 'raycast' or"),
+    (images(source="magic"), "source is 'magic'; give one of 'raycast', 'splat'"),
     (stack(noise=1e300), r"noise. is 1e\+300; .* at most 1e\+18"),
     (stack(spacing_m=0.0), "ray_spacing. is 0.0"),
     (stack(seed=-1), "seed. is -1"),

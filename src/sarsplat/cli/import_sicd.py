@@ -47,7 +47,7 @@ def _described(path: Path) -> Recognised:
         "spacing": f"{rows.spacing_m:.4g} m × {columns.spacing_m:.4g} m",
         "resolution": f"{rows.resolution_m:.4g} m × {columns.resolution_m:.4g} m (3 dB)",
         "pixels": f"{sicd.pixel_type}, grid {sicd.projection.Grid_Type}",
-        "power": "β⁰ up to one factor" if sicd.beta_zero is None else "β⁰ (BetaZeroSFPoly)",
+        "power": f"β⁰ ({', '.join(sicd.calibration)})" if sicd.calibration else "β⁰ up to one factor",
     }
     if (astray := said_of_place(sicd)) is not None:
         facts["beware"] = astray

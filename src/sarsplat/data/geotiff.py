@@ -31,7 +31,9 @@ LEVELS: dict[HeightAbove, str] = {
 """Names of the zero levels of heights."""
 KEYS = 34735
 """Tag of GeoKeys in TIFFs."""
-_DOUBLES, _ORIENTATION = 34736, 274
+_DOUBLES, _ORIENTATION, _SAMPLES = 34736, 274, 339
+UNDEFINED = 4
+"""Sample format of a TIFF whose numbers have no stated meaning."""
 _UNIT_KEYS = {2054: (9102, "degrees"), 3076: (9001, "metres"), 4099: (9001, "metres")}
 """Keys of angular, linear and vertical units: their usual value, which GDAL assumes without a known system."""
 _LOCAL = 'LOCAL_CS["scene",UNIT["metre",1]]'
@@ -173,20 +175,35 @@ def opened_raster(path: Path) -> Iterator[Any]:
 
 
 def _refuse_unread_tags(path: Path, crs: Any) -> None:
-    """Raise if a TIFF's orientation or units, which GDAL ignores without a known system, are unusual."""
-    with tifffile.TiffFile(path) as tiff:
-        tags: Any = {tag.code: tag.value for tag in tiff.pages.first.tags.values()}
-    if tags.get(_ORIENTATION, 1) != 1:
-        raise SarsplatError(f"{path} is stored turned (orientation {int(tags[_ORIENTATION])}); write it upright")
+    """Raise if a TIFF's samples, orientation or units, which GDAL ignores without a known system, are unusual."""
+    try:
+        with tifffile.TiffFile(path) as tiff:
+            tags: Any = {tag.code: tag.value for tag in tiff.pages.first.tags.values()}
+            known = tiff.pages.first.dtype is not None and UNDEFINED not in np.ravel(tags.get(_SAMPLES, 1))
+    except TypeError:  # of numpy, which has no such type
+        known, tags = False, {}
+    refuse_turned(path, int(tags.get(_ORIENTATION, 1)))
     rows = np.reshape(tags.get(KEYS, ())[4:], (-1, 4)).astype(int)
     stated = {key: value for key, place, _, value in rows.tolist() if place == 0}
     if 3076 in stated and ((crs is not None and crs.to_2d().to_epsg()) or 1.0 in np.ravel(tags.get(_DOUBLES, ()))):
         del stated[3076]  # GDAL knows the unit of a numbered system; an own unit may be one of 1 m
-    for key, (usual, unit) in _UNIT_KEYS.items():
-        if stated.get(key, 0) not in (0, usual):
-            raise SarsplatError(
-                f"{path} has another unit than {unit} (EPSG {stated[key]}); convert it, as by gdalwarp -t_srs"
-            )
+    problems = [
+        f"another unit than {unit} (EPSG {stated[key]}); convert it, as by gdalwarp -t_srs"
+        for key, (usual, unit) in _UNIT_KEYS.items()
+        if stated.get(key, 0) not in (0, usual)
+    ]
+    if not known:
+        problems = [
+            "samples of an undefined format, or complex ones of 8 or packed 16 bits; write float32 or complex64"
+        ]
+    if problems:
+        raise SarsplatError(f"{path} has {problems[0]}")
+
+
+def refuse_turned(path: Path, orientation: object) -> None:
+    """Raise unless the orientation of a TIFF's or a camera's tag is upright."""
+    if orientation != 1:
+        raise SarsplatError(f"{path} is stored turned (orientation {shown(orientation)}); write it upright")
 
 
 def georeference_of(raster: Any) -> Georeference | None:

@@ -116,7 +116,8 @@ def write_gaussians_ply(
 def read_gaussians_ply(path: str | Path) -> Gaussians:
     """Read Gaussians: exactly from sarsplat's PLY files, approximately from PLY or `.splat` files of 3DGS programs.
 
-    In files of 3DGS programs, κ = −ln(1 − opacity), the harmonics are the mean over the three colours, and p_min is 0.
+    In files of 3DGS programs, κ = −ln(1 − opacity), the harmonics are the mean over the three colours, and p_min is 0;
+    a property filter_3D (Mip-Splatting) widens Gaussians and lowers their opacity.
     A `.splat` file has one colour per Gaussian: in sarsplat's exports a shade of grey for decibels.
 
     Returns
@@ -261,11 +262,19 @@ def _from_3dgs(path: Path, columns: dict[str, np.ndarray]) -> dict[str, np.ndarr
     colours = stacked(path, columns, [f"f_rest_{k}" for k in range(rest)]).reshape(len(constant), 3, rest // 3)
     harmonics[:, 0], harmonics[:, 1:] = constant.mean(1), colours.mean(1)
     logit = stacked(path, columns, ["opacity"])[:, 0].astype(np.float64)
-    depth = np.minimum(np.logaddexp(0, logit), MAX_OPTICAL_DEPTH)  # −ln(1 − sigmoid(x)) = ln(1 + eˣ)
-    with np.errstate(over="ignore"):
+    depth = np.logaddexp(0, logit)  # −ln(1 − sigmoid(x)) = ln(1 + eˣ)
+    if "scale_1" in columns and "scale_2" not in columns:
+        raise SarsplatError(
+            f"{path} holds flat Gaussians (2DGS), which have no scale_2; add it, the logarithm of their thickness in m"
+        )
+    with np.errstate(over="ignore", divide="ignore"):
         scales = np.maximum(np.exp(stacked(path, columns, [f"scale_{k}" for k in range(3)])), np.float32(MIN_SCALE))
+        if "filter_3D" in columns:  # convolution with a Gaussian of that width keeps the integral of the opacity
+            narrow, scales = scales, np.hypot(scales, columns["filter_3D"][:, None]).astype(np.float32)
+            depth = -np.log1p(np.expm1(-depth) * (narrow / scales).prod(axis=1, dtype=np.float64))
     harmonics[:, [k for k in ODD if k < harmonics.shape[1]]] *= -1  # Y_k(−u) = (−1)^degree Y_k(u)
-    return {"scales": scales, "optical_depth": depth.astype(np.float32), "scattering": harmonics}
+    depth = np.minimum(depth, MAX_OPTICAL_DEPTH).astype(np.float32)
+    return {"scales": scales, "optical_depth": depth, "scattering": harmonics}
 
 
 def _check_gaussians(values: dict[str, np.ndarray], name: str) -> None:

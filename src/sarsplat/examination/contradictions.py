@@ -164,7 +164,7 @@ def _edges(power: np.ndarray) -> np.ndarray:
 
 
 def _orientation(dataset: Dataset, estimate: Orientation, near: Side, layout: Layout | None, geocoded: bool) -> str:
-    """Describe a wrong orientation and its remedy, a half turn rather than a mirror where both would do."""
+    """Describe a wrong orientation and its remedy."""
     opposite = estimate.opposite is True
     wrong = []
     if near != "top" and estimate.by_shadow:
@@ -194,9 +194,13 @@ def _remedy(near: Side, opposite: bool, layout: Layout | None, tilted: bool) -> 
     mended = layout.corrected(near, opposite)
     if not opposite and not layout.mirrored:
         return f"import with {mended}"
-    sense = "counter-clockwise" if mended.twin.counter_clockwise else "clockwise"
-    twin = f"{mended.twin} if the table's azimuths do run {sense}"
-    return f"import with {mended}, or with {twin}: images do not tell which"
+    first, other = mended, mended.twin
+    if (
+        near != "top" and opposite and mended.counter_clockwise
+    ):  # a transposition is likelier than a turn and another sense
+        first, other = other, first
+    sense = "counter-clockwise" if other.counter_clockwise else "clockwise"
+    return f"import with {first}, or with {other} if the table's azimuths do run {sense}: images do not tell which"
 
 
 def _incidence(dataset: Dataset, estimate: Orientation) -> str:

@@ -10,7 +10,7 @@ from jaxtyping import Float64, Int, Real
 from sarsplat.data import Dataset
 from sarsplat.errors import counted
 from sarsplat.examination.outcome import Examination
-from sarsplat.radiometry import LEAST_POWER, to_db
+from sarsplat.radiometry import LEAST_POWER, beta0_of_gamma0, to_db
 
 _MIN_CLIPPED = 0.01
 """Clipped share of an image that is as large as a target."""
@@ -37,6 +37,9 @@ _OTHER_DB = 8.0
 _OTHER_DEVIATIONS = 8.0
 """Maximum deviation of an image's ground from the others', dB and robust standard deviations: gains of measured chips
 differ by 3 dB."""
+
+_MAX_SPREAD_DB = 5.0
+"""Maximum robust standard deviation of the ground in images of one scale, dB."""
 
 _CONTRASTS = (0.72, 1.39)
 """Range of an image's ground contrast (standard deviation over mean) relative to that of the others. Measured: 0.93 to
@@ -138,23 +141,25 @@ def _too_alike(counts: Int[np.ndarray, " v"], pixels: int) -> bool:
 
 
 def _other_level(dataset: Dataset) -> list[str]:
-    """Describe single images whose ground is far brighter or darker than that of all others."""
+    """Describe images whose ground is far brighter or darker than in most, or than the median where all differ."""
     if len(dataset) < _MIN_IMAGES or not dataset.ground:
         return []
-    levels = to_db(np.quantile(dataset.power, _QUANTILES, axis=(1, 2)), least=LEAST_POWER)
+    flat = np.array([beta0_of_gamma0(1.0, view.grazing_deg) for view in dataset.views])
+    levels = to_db(np.quantile(dataset.power, _QUANTILES, axis=(1, 2)) / flat, least=LEAST_POWER)
     deviations_db = levels - np.median(levels, axis=1, keepdims=True)
     same_sign = (np.sign(deviations_db) == np.sign(deviations_db[0])).all(axis=0)
     deviation_db = np.where(same_sign, np.sign(deviations_db[0]) * np.abs(deviations_db).min(axis=0), 0.0)
     typical = 1.4826 * float(np.median(np.abs(deviation_db)))
-    outliers = np.abs(deviation_db) > max(_OTHER_DB, _OTHER_DEVIATIONS * typical)
-    if not outliers.any() or 4 * outliers.sum() > len(dataset):
+    limit = max(_OTHER_DB, _OTHER_DEVIATIONS * typical) if typical < _MAX_SPREAD_DB else typical / 2
+    outliers = np.abs(deviation_db) > limit
+    if not outliers.any():
         return []
     worst = int(np.where(outliers, np.abs(deviation_db), 0).argmax())
     more = f" ({counted(int(outliers.sum()), 'image')} of {len(dataset)} deviate as much)" if outliers.sum() > 1 else ""
     return [
         f"the ground of {dataset.entries[worst].name} is {abs(deviation_db[worst]):.1f} dB "
-        f"{'brighter' if deviation_db[worst] > 0 else 'darker'} than that of the others{more}, as of another scale "
-        f"or unit; {_ONE_SCALE}"
+        f"{'brighter' if deviation_db[worst] > 0 else 'darker'} than the median of all images{more}, as of another "
+        f"scale or unit; {_ONE_SCALE}"
     ]
 
 

@@ -48,11 +48,19 @@ _ALL_OPTIONS = ("quantity", "looks")
 _OPTIONS = {"sicd": ("looks",), "rslc": ("looks",), "mstar": (), "sample": (), "phase-history": (), "stack": ("looks",)}
 """Options of the import by the kind of the dataset's `source`; `_ALL_OPTIONS` for other kinds."""
 
-_QUANTITY_REMEDIES: dict[str, dict[str, str]] = {
-    "db": {"quantity": "double the decibels (`scale=2`) if they are 10·log10 of amplitudes"},
-    "complex": {},
+_SQUARED = {
+    "amplitude": "square the numbers in the files if they are roots of amplitudes",
+    "complex": "square the magnitudes in the files if they are roots of amplitudes",
+    "db": "double the decibels (`scale=2`) if they are 10·log10 of amplitudes",
 }
-"""Remedies besides the looks for quantities that determine power."""
+"""Quantity of a dataset's files → remedy if speckle has too little contrast, and the looks are right."""
+_ROOTS = {
+    "amplitude": "take the root of the values (quantity='power') if they were squared twice",
+    "power": "take the root of the numbers in the files if these are squares of power",
+    "complex": "take the root of the magnitudes in the files if these are power",
+    "db": "halve the decibels (`scale=0.5`) if they are 20·log10 of power",
+}
+"""Quantity → remedy if speckle has too much contrast."""
 
 _CELLS_PER_BLOCK, _SMALLEST_BLOCK = 6, 8
 """Side of the blocks of clutter in resolution widths, and minimum in pixels: ground hardly changes within one."""
@@ -154,11 +162,13 @@ def _speckle(dataset: Dataset, examined: Examination) -> bool:
     of_power, of_amplitude = contrast_of(dataset.looks)
     stated = f"{dataset.looks:g} look{'' if dataset.looks == 1 else 's'}"
     examined.checks["unit"] = f"{measured}; power of {stated} has {of_power:.2f}, amplitude {of_amplitude:.2f}"
-    wrong = ""
+    wrong, quantity = "", str(dataset.source.get("quantity", ""))
+    decibels = {"quantity": f"import with {_DECIBELS}"} if quantity != "complex" else {}
+    decibels |= {"quantity": "give `scale` and `offset` of decibels in 8 bits"} if quantity == "db" else {}
     if Evidence(ground.skewness).against(_MIN_SKEWNESS):
         wrong = (
             f"more of the ground is dark than bright (skewness {ground.skewness.mean():.2f}), as in decibels, not in "
-            f"power or amplitude; {_remedy(dataset, quantity=f'import with {_DECIBELS}')}"
+            f"power or amplitude; {_remedy(dataset, **decibels)}"
         )
     elif contrast < of_amplitude**1.5 / of_power**0.5:
         wrong = (
@@ -166,23 +176,18 @@ def _speckle(dataset: Dataset, examined: Examination) -> bool:
             + _remedy(
                 dataset,
                 looks="give their number of `looks`, or looks=None if there is no speckle",
-                quantity=f"{_DECIBELS}, if they hold these",
+                **{name: f"{text}, if they hold these" for name, text in decibels.items()},
             )
         )
     elif contrast < (of_power * of_amplitude) ** 0.5:
-        remedies_of_quantity = _QUANTITY_REMEDIES.get(str(dataset.source.get("quantity")))
-        remedies = {
-            "quantity": "square the values (quantity='amplitude')",
-            "looks": "give another number of `looks` if they are power",
-        }
-        if remedies_of_quantity is not None:  # squares are impossible: the looks are wrong
-            remedies = {"looks": "give another number of `looks`"} | remedies_of_quantity
-        elif dataset.source.get("geocoded"):  # amplitude is less likely
-            looks = f"`looks={1 / contrast**2:.2g}`"
-            remedies = {
-                "looks": f"give the looks that are left after pixels were interpolated to the map ({looks})",
-                "quantity": f"{remedies['quantity']} if they are amplitude",
-            }
+        looks, squared = "give another number of `looks`", "square the values (quantity='amplitude')"
+        remedies = {"quantity": squared, "looks": f"{looks} if they are power"}
+        if dataset.source.get("geocoded"):  # amplitude is less likely
+            left = f"`looks={1 / contrast**2:.2g}`"
+            looks = f"give the looks that are left after pixels were interpolated to the map ({left})"
+            remedies = {"looks": looks, "quantity": f"{squared} if they are amplitude"}
+        if quantity in _SQUARED:  # squares are less likely
+            remedies = {"looks": looks, "quantity": _SQUARED[quantity]}
         wrong = (
             f"the {measured}, as of amplitude with {stated} ({of_amplitude:.2f}), not of power ({of_power:.2f}); "
             + _remedy(dataset, **remedies)
@@ -191,11 +196,9 @@ def _speckle(dataset: Dataset, examined: Examination) -> bool:
         wrong = (
             f"the {measured}, but power of {stated} has {of_power:.2f}; "
             + _remedy(
-                dataset,
-                quantity="take the root of the values (quantity='power') if they were squared twice",
-                looks="give another number of `looks`",
+                dataset, quantity=_ROOTS.get(quantity, _ROOTS["amplitude"]), looks="give another number of `looks`"
             )
-            + f", or {_DECIBELS}" * ("quantity" in _options(dataset))
+            + f", or import with {_DECIBELS}" * (bool(decibels) and "quantity" in _options(dataset))
         )
     if wrong:
         examined.contradictions.append(wrong)

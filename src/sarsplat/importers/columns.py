@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 
 from sarsplat.data.csv_table import CsvTable, Row, parsed
 from sarsplat.errors import SarsplatError, advised, shown
@@ -30,6 +32,8 @@ MEANINGS: dict[str, tuple[str, ...]] = {
     "offset": (),
     "dn-per-magnitude": (),
     "dn-per-power": (),
+    "scale-factor": (),
+    "calibration-factor": (),
     "near-side": (),
     "view": ("viewname", "stack"),
     "baseline": ("baselinerad", "lookoffset"),
@@ -41,12 +45,28 @@ _SHORT = {
     **{"az": "azimuth", "graz": "grazing", "elev": "grazing", "inc": "incidence", "std": "azimuth-std"},
     **{"pol": "polarisation", "polarization": "polarisation"},
 }
-_UNITS = {"deg", "degree", "degrees", "m", "metre", "metres", "meter", "meters", "angle"}
-
-_ANGLES = ("azimuth", "heading", "grazing", "incidence", "azimuth-std", "tilt")
-_OTHER_ANGLES = {"rad", "radian", "radians", "mrad", "gon", "gradian", "gradians", "mil", "mils"}
-"""Words in columns' names for units of angles other than degrees (the German Grad is a degree)."""
-_COMPASS = {"compass", "bearing", "north"}
+_LENGTH, _ANGLE = "length", "angle"
+_RADIAN = math.degrees(1.0)
+_UNITS: dict[str, tuple[str, float]] = {
+    **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), (_LENGTH, 1.0)),
+    **{word: (_LENGTH, size) for word, size in {"km": 1e3, "dm": 0.1, "cm": 0.01, "mm": 1e-3, "µm": 1e-6}.items()},
+    **dict.fromkeys(("inch", "inches", "in"), (_LENGTH, 0.0254)),
+    **dict.fromkeys(("ft", "foot", "feet"), (_LENGTH, 0.3048)),
+    **dict.fromkeys(("deg", "degree", "degrees"), (_ANGLE, 1.0)),
+    **dict.fromkeys(("rad", "radian", "radians"), (_ANGLE, _RADIAN)),
+    **{word: (_ANGLE, size) for word, size in {"mrad": _RADIAN / 1e3, "gon": 0.9, "gradian": 0.9}.items()},
+    **dict.fromkeys(("mil", "mils", "yd", "arcmin", "arcsec"), ("another unit", 1.0)),
+}
+"""Words in names of columns → quantity, and m or degrees of one (the German Grad is a degree)."""
+_MEASURED = {
+    **dict.fromkeys(("azimuth", "heading", "grazing", "incidence", "azimuth-std", "tilt"), (_ANGLE, 1.0)),
+    "baseline": (_ANGLE, _RADIAN),
+    **{f"{axis}{name}": (_LENGTH, 1.0) for axis in ("", "azimuth-", "range-") for name in ("spacing", "resolution")},
+}
+"""Meanings with a unit → quantity, and m or degrees of the unit that numbers have here."""
+_FLIGHT = {"heading", "track", "course", "bearing"}
+"""Words in columns' names for directions of flight or of sight."""
+_COMPASS = {"compass", "north"}
 """Words in columns' names for directions counted from north."""
 
 _ONLY_IF_NAMED = ("scale", "offset")
@@ -55,8 +75,13 @@ _ONLY_IF_NAMED = ("scale", "offset")
 _INSTEAD = {"azimuth": {"heading"}, "heading": {"azimuth"}}
 """Meanings that exclude each other if one is chosen."""
 
-PER_UNIT: dict[str, tuple[Quantity, ...]] = {"dn-per-magnitude": ("amplitude", "complex"), "dn-per-power": ("power",)}
-"""Meaning (numbers per unit of magnitude, or of power) → possible quantities of the pixels."""
+FACTORS: dict[str, tuple[int, tuple[Quantity, ...]]] = {
+    "dn-per-magnitude": (-2, ("amplitude", "complex")),
+    "dn-per-power": (-1, ("power",)),
+    "scale-factor": (2, ("amplitude", "complex")),
+    "calibration-factor": (1, ("amplitude", "complex", "power")),
+}
+"""Meaning → exponent that makes its number a factor on the power, and possible quantities of the pixels."""
 
 Columns = dict[str, str]
 """Meaning → name of the column."""
@@ -154,31 +179,57 @@ def require(table: CsvTable, columns: Columns, grazing: bool, spacing: bool, loo
         )
 
 
-def require_degrees(table: CsvTable, columns: Columns, compass: bool) -> None:
-    """Raise if a column's name has another unit than degrees or, unless `compass`, counts azimuths from north."""
-    for meaning in _ANGLES:
-        words = set(_words(columns.get(meaning, "")))
-        if words & _OTHER_ANGLES:
+def require_azimuths(table: CsvTable, columns: Columns, compass: bool) -> None:
+    """Raise if the azimuths' column is one of flights by its name or, unless `compass`, counts from north."""
+    column = columns.get("azimuth", "")
+    words = set(_words(column))
+    if words & _FLIGHT:
+        raise SarsplatError(
+            f"{table.path} has {shown(column)} for the azimuth, which by its name is a direction of flight or sight; "
+            f"name it with `columns={{'heading': '{column}'}}` and give `look`, or rename it if it holds directions "
+            "from the target to the radar"
+        )
+    if words & _COMPASS and not compass:
+        raise SarsplatError(
+            f"{table.path} has {shown(column)} for the azimuth, which counts from north by its name, but azimuths "
+            "count from the target's nose; give `azimuth_offset_deg`, the azimuth of north (0 if the nose points there)"
+        )
+
+
+def converted(table: CsvTable, columns: Columns) -> CsvTable:
+    """Return a table whose lengths are in m, angles in degrees and baselines in radians, by the names of its columns.
+
+    Raises if a name has a unit of another quantity, or several units.
+    """
+    factors: dict[str, float] = {}
+    for meaning, (kind, usual) in _MEASURED.items():
+        words = _words(column := columns.get(meaning, ""))
+        stated = {_UNITS[word] for word in words if word in _UNITS and (word != "in" or word == words[-1])}
+        if len(stated) > 1 or any(quantity != kind for quantity, _ in stated):
+            unit = "b/R in radians" if meaning == "baseline" else "degrees" if kind == _ANGLE else "metres"
             raise SarsplatError(
-                f"{table.path} has {shown(columns[meaning])} for the {meaning}, which is not in degrees by its name; "
-                "write degrees"
+                f"{table.path} has {shown(column)} for the {meaning}, whose name does not state one unit of {kind}; "
+                f"give {unit}, and rename it"
             )
-        if words & _COMPASS and meaning == "azimuth" and not compass:
-            raise SarsplatError(
-                f"{table.path} has {shown(columns[meaning])} for the {meaning}, which counts from north by its name, "
-                "but azimuths count from the target's nose; give `azimuth_offset_deg`, the azimuth of north (0 if the "
-                "nose points there)"
-            )
+        for _, size in stated - {(kind, usual)}:
+            factors[column] = size / usual
+
+    def number(text: str, factor: float) -> str:
+        value = parsed(text, table.decimal_comma)
+        return f"{value * factor!r}" if math.isfinite(value) else text
+
+    rows = ((at, cells | {name: number(cells[name], by) for name, by in factors.items()}) for at, cells in table.rows)
+    return replace(table, rows=tuple(rows))
 
 
 def _words(name: str) -> list[str]:
-    return re.findall(r"[a-z]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower())
+    return re.findall(r"[^\W\d_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower())
 
 
 def _plain(name: str) -> str:
     """Strip case, signs and units: `Azimuth (deg)` and `azimuth_angle_deg` become `azimuth`."""
     words = _words(name)
-    while len(words) > 1 and words[-1] in _UNITS:
+    while len(words) > 1 and (words[-1] in _UNITS or words[-1] == "angle"):
         words.pop()
     return "".join(words)
 

@@ -8,16 +8,25 @@ import posixpath
 import re
 import unicodedata
 import warnings
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
-from typing import NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import numpy as np
+from jaxtyping import Shaped
 
 from sarsplat.data.csv_table import CsvTable, Row, relative_path
-from sarsplat.data.files import plain_reason
+from sarsplat.data.files import open_file, plain_reason
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
 from sarsplat.extras import install_command
 
+if TYPE_CHECKING:
+    import h5py
+
+_LARGEST_CHUNK = 64 << 20
+"""Maximum size of a chunk of HDF5, bytes, which is unpacked at a time."""
 _MOST_FILES = 100_000
 """Maximum number of files in a folder; with more, it is probably a home folder."""
 
@@ -57,6 +66,51 @@ def require(package: str, what: str, extra: str) -> None:
         raise SarsplatError(
             f"{what} {package}, which cannot be imported ({error}); {install_command(extra)}"
         ) from error
+
+
+@contextmanager
+def opened_hdf5(path: Path) -> Iterator[h5py.File]:
+    """Open a file so that any exception inside h5py, as of a garbled file, becomes one sentence."""
+    import h5py
+
+    with open_file(path):  # a regular file that can be read
+        try:
+            with h5py.File(path, "r", locking=False) as file:
+                yield file
+        except (SarsplatError, MemoryError):
+            raise
+        except Exception as error:
+            raise_damaged(path, f"is not a readable HDF5 file ({shown(str(error))})")
+
+
+def hdf5_array(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
+    """Return an array of a file; raise if it is missing or lies in another file."""
+    import h5py
+
+    at: Any = file
+    for part in name.split("/"):
+        if not isinstance(at, h5py.Group) or part not in at:
+            raise_damaged(path, f"has no {name}")
+        if not isinstance(at.get(part, getlink=True), h5py.HardLink):
+            raise_damaged(path, f"has {name} elsewhere, by a link, not in the file itself")
+        at = at[part]
+    if not isinstance(at, h5py.Dataset) or at.shape is None:
+        raise_damaged(path, f"has no array {name}")
+    if at.external or at.is_virtual:
+        raise_damaged(path, f"has {name} in another file")
+    if at.chunks is not None and np.prod(at.chunks, dtype=float) * at.dtype.itemsize > _LARGEST_CHUNK:
+        raise SarsplatError(f"{path} has {name} in chunks {shown(at.chunks)}; write it again in smaller ones")
+    return at
+
+
+def complex_of(stored: Shaped[np.ndarray, "*shape"]) -> Shaped[np.ndarray, "*shape"]:
+    """Join records of real and imaginary part to complex numbers; return other arrays unchanged."""
+    if stored.dtype.names not in (("r", "i"), ("real", "imag")):
+        return stored
+    real, imaginary = (stored[name] for name in stored.dtype.names)
+    joined = np.empty(stored.shape, np.result_type(real, np.complex64))
+    joined.real, joined.imag = real, imaginary
+    return joined
 
 
 def each_once(files: Sequence[str | Path]) -> list[Path]:

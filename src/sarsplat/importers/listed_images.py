@@ -17,7 +17,7 @@ from sarsplat.data.orientation import SIDES, Layout, oriented
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry import Place, View
 from sarsplat.importers.about import AboutImages, AboutPictures, Pair
-from sarsplat.importers.columns import PER_UNIT
+from sarsplat.importers.columns import FACTORS
 from sarsplat.importers.files import warn_caller
 from sarsplat.importers.images import assume, dataset_of, write_imported
 from sarsplat.importers.measured_image import MeasuredImage, view_of
@@ -117,14 +117,24 @@ def read_pictures(
         values = read_values(
             row.path,
             pictures[-1].values.quantity if pictures else quantity,
-            _either(row.scale, scale),
+            _either(row.scale, scale if row.power_factor is None else 1.0),
             _either(row.offset, offset),
             listed.real,
         )
         _require_unit(listed, values.quantity)
         mirrored = about.get("mirrored", False) if row.looks_left is None else row.looks_left
         view = view_of_picture(listed, row, angles, mirrored)
-        values = replace(values, image=_beta0(values.image, view, backscatter))
+        factor, stated = values.power_factor, backscatter
+        if row.power_factor is not None:
+            factor = row.power_factor
+        elif math.isnan(factor):
+            raise SarsplatError(
+                f"{row.path} states several factors on its power; give the right ones in a column of the table: "
+                "`columns={'calibration-factor': 'NAME'}`"
+            )
+        elif factor != 1 and (stated := values.tags.backscatter or backscatter) != backscatter != "beta0":
+            raise SarsplatError(f"{row.path} says that it holds {stated}; leave out `backscatter`")
+        values = replace(values, image=_beta0(values.image, view, stated, factor))
         pictures.append(Picture(row, values, view, about.get("ground_range", False)))
     columns = ", ".join(f"{meaning} = {name}" for meaning, name in listed.columns.items())
     told = [f"columns of the table: {columns}"]
@@ -190,11 +200,12 @@ def write_pictures(
 
 def _require_unit(listed: PictureTable, quantity: Quantity) -> None:
     """Raise if the quantity of pictures is not that of the table's column of scales."""
-    for meaning, quantities in PER_UNIT.items():
+    for meaning, (_, quantities) in FACTORS.items():
         if meaning in listed.columns and "scale" not in listed.columns and quantity not in quantities:
             raise SarsplatError(
                 f"{listed.path} scales pictures by {shown(listed.columns[meaning])}, which is for "
-                f"{' or '.join(quantities)}, but they are taken for {quantity}; the quantity must be {quantities[0]}"
+                f"{' or '.join(quantities)}, but they are taken for {quantity}; give `quantity={quantities[0]!r}`, or "
+                f"name it as a factor on the numbers: `columns={{'scale': '{listed.columns[meaning]}'}}`"
             )
 
 
@@ -220,12 +231,13 @@ def _completed(row: ListedPicture, about: AboutPictures) -> ListedPicture:
 
 
 def _beta0(
-    image: Shaped[np.ndarray, "rows columns"], view: View, backscatter: Backscatter
+    image: Shaped[np.ndarray, "rows columns"], view: View, backscatter: Backscatter, factor: float
 ) -> Shaped[np.ndarray, "rows columns"]:
-    """Return power, or complex amplitude, as that of β⁰."""
-    if backscatter == "beta0":
+    """Return power, or complex amplitude, times a factor on the power, as that of β⁰."""
+    if backscatter != "beta0":
+        factor = {"sigma0": beta0_of_sigma0, "gamma0": beta0_of_gamma0}[backscatter](factor, view.grazing_deg)
+    if factor == 1:
         return image
-    factor = {"sigma0": beta0_of_sigma0, "gamma0": beta0_of_gamma0}[backscatter](1.0, view.grazing_deg)
     beta0: Shaped[np.ndarray, "rows columns"] = image * image.real.dtype.type(
         math.sqrt(factor) if image.dtype.kind == "c" else factor
     )

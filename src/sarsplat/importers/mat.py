@@ -1,8 +1,8 @@
-"""MATLAB 5 files (`save -v6` and `-v7`): numbers and structs. SciPy's reader crashes on some damaged files.
+"""MATLAB files: numbers and structs, of versions 5 (`save -v6`, `-v7`) and 7.3, which is HDF5, by h5py.
 
-A file is a list of elements, each a tag (type, bytes) and data; an array is an element that holds further ones: flags,
-dimensions, name, values. Files are untrusted: sizes must fit their container, and the unpacked size is limited by the
-file's.
+SciPy's reader crashes on some damaged files. A file of version 5 is a list of elements, each a tag (type, bytes) and
+data; an array is an element that holds further ones: flags, dimensions, name, values. Files are untrusted: sizes must
+fit their container, and the unpacked size is limited by the file's.
 """
 
 from __future__ import annotations
@@ -10,12 +10,16 @@ from __future__ import annotations
 import math
 import zlib
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.importers.files import complex_of, hdf5_array, opened_hdf5, require
+
+if TYPE_CHECKING:
+    import h5py
 
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 """Types of elements that hold numbers → types of numpy."""
@@ -32,7 +36,7 @@ _BYTES_PER_ARRAY = 512
 
 
 def read_mat(path: str | Path) -> dict[str, Any]:
-    """Read the variables of a MATLAB 5 file, as `save -v6` or `save -v7` (MATLAB's default) writes it.
+    """Read the variables of a MATLAB file, as `save -v6`, `save -v7` (MATLAB's default) or `save -v7.3` writes it.
 
     Numbers are arrays of MATLAB's shape and type, complex ones included; a struct is a dict of its fields. Other values
     (text, cells, arrays of structs, sparse matrices …) are None, and such variables left out. Raises if it is no such
@@ -43,6 +47,10 @@ def read_mat(path: str | Path) -> dict[str, Any]:
         size = file.seek(0, 2)
         file.seek(0)
         decoder = _Decoder(path, _byte_order(path, file.read(128)), _EXPANSION * size + _FREE_BYTES)
+        if not decoder.order:
+            require("h5py", "MATLAB 7.3 files need", "rslc")
+            with opened_hdf5(path) as hdf5:
+                return decoder.members(hdf5, "", 0)
         variables: dict[str, Any] = {}
         while len(tag := file.read(8)) == 8:
             kind, length = np.frombuffer(tag, decoder.order + "u4").tolist()
@@ -65,12 +73,12 @@ def read_mat(path: str | Path) -> dict[str, Any]:
 
 
 def _byte_order(path: Path, header: bytes) -> str:
-    """Return the byte order by the 128 bytes of the header."""
+    """Return the byte order by the 128 bytes of the header; "" of version 7.3."""
     if header.startswith((b"MATLAB 7.3", b"\x89HDF")):
-        raise SarsplatError(f"{path} is a MATLAB 7.3 (HDF5) file; load it in MATLAB and save it with -v7")
+        return ""
     order = {b"IM": "<", b"MI": ">"}.get(header[126:128])
     if order is None:
-        raise SarsplatError(f"{path} is not a MATLAB 5 file; save it in MATLAB with -v7")
+        raise SarsplatError(f"{path} is not a MATLAB file; save it in MATLAB with -v7")
     return order
 
 
@@ -93,6 +101,26 @@ class _Decoder:
                 "save it in MATLAB with -v6"
             )
 
+    def members(self, file: h5py.File, within: str, depth: int) -> dict[str, Any]:
+        """Read the variables of version 7.3, or the fields of the struct `within/`; HDF5 has their axes reversed."""
+        self.deepen(depth)
+        found: dict[str, Any] = {}
+        for name in filter(str.isidentifier, file[within or "/"]):
+            path = within + name
+            if file.get(path, getclass=True, getlink=False).__name__ == "Group":
+                found[name] = self.members(file, f"{path}/", depth + 1)
+                continue
+            stored = hdf5_array(self.path, file, path)
+            numbers = stored.dtype.kind in "iuf" or stored.dtype.names == ("real", "imag")
+            text = stored.attrs.get("MATLAB_class") in (b"char", b"cell")
+            self.spend(_BYTES_PER_ARRAY + 2 * stored.size * stored.dtype.itemsize)
+            empty = "MATLAB_empty" in stored.attrs
+            if numbers and not text:
+                found[name] = np.zeros((0, 0)) if empty else complex_of(stored[()]).T
+            elif depth:
+                found[name] = None
+        return found
+
     def decompress(self, data: memoryview) -> tuple[int, memoryview]:
         """Return type and data of the element in a compressed one."""
         stream = zlib.decompressobj()
@@ -109,6 +137,11 @@ class _Decoder:
             self.refuse(f"a compressed element of {len(rest)} bytes where {length} are stated")
         return kind, memoryview(rest)
 
+    def deepen(self, depth: int) -> None:
+        self.spend(_BYTES_PER_ARRAY)
+        if depth > _DEEPEST:
+            self.refuse(f"structs nested more than {_DEEPEST} deep")
+
     def element(self, data: memoryview) -> tuple[int, memoryview, memoryview]:
         """Return type and data of the first element, and the rest."""
         if len(data) < 8:
@@ -124,9 +157,7 @@ class _Decoder:
 
     def array(self, data: memoryview, depth: int) -> tuple[str, Any]:
         """Return name and value of an array."""
-        self.spend(_BYTES_PER_ARRAY)
-        if depth > _DEEPEST:
-            self.refuse(f"structs nested more than {_DEEPEST} deep")
+        self.deepen(depth)
         if not data:
             return "", np.zeros((0, 0))
         flags, data = self.whole(data, _UINT32)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import math
+import struct
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -15,10 +16,11 @@ import numpy as np
 from jaxtyping import Bool, Shaped
 
 from sarsplat.data.files import open_file, plain_os_errors
+from sarsplat.data.geotiff import refuse_turned
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.importers.files import require
+from sarsplat.importers.files import complex_of, require
 from sarsplat.importers.mat import read_mat
-from sarsplat.importers.rasters import OTHERS, TIFF, Tags, read_raster
+from sarsplat.importers.rasters import OTHERS, TIFF, Tags, read_raster, sidecar_scaling
 from sarsplat.names import Quantity
 from sarsplat.radiometry import from_db
 
@@ -36,7 +38,7 @@ _SPREAD = 0.9
 _BOTH_NEGATIVE = 0.75
 """Maximum share of pixels with negative real and imaginary part; a turning phase has both in a quarter of them."""
 
-_MANY_WRONG = (OSError, SyntaxError, ValueError, ZeroDivisionError, OverflowError, EOFError)
+_MANY_WRONG = (OSError, SyntaxError, ValueError, ZeroDivisionError, OverflowError, EOFError, TypeError, struct.error)
 
 
 def read_pixels(path: Path) -> Shaped[np.ndarray, "*shape"]:
@@ -64,7 +66,8 @@ def read_picture(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]:
     """
     ending, tags = path.suffix.lower(), Tags()
     if ending in OTHERS:
-        pixels = {".npy": _npy, ".mat": _mat}.get(ending, _picture)(path)
+        pixels = complex_of({".npy": _npy, ".mat": _mat}.get(ending, _picture)(path))
+        tags = sidecar_scaling(path)
     else:
         pixels, tags = read_raster(path)
     if pixels.ndim == 3 and 1 in pixels.shape[::2]:
@@ -104,12 +107,13 @@ def _mat(path: Path) -> Shaped[np.ndarray, "*shape"]:
 
 def _picture(path: Path) -> Shaped[np.ndarray, "*shape"]:
     require("PIL", "PNG and JPEG need", "mstar")
-    from PIL import Image, UnidentifiedImageError
+    from PIL import ExifTags, Image, UnidentifiedImageError
 
     with plain_os_errors("read", path), open_file(path) as file:
         data = file.read()
     try:
         image = Image.open(io.BytesIO(data), formats=("PNG", "JPEG"))
+        refuse_turned(path, image.getexif().get(ExifTags.Base.Orientation, 1))
         if (unpacked := math.prod(image.size) * len(image.getbands()) * 2) > max(
             _FREE_BYTES, _BYTES_PER_BYTE * len(data)
         ):
@@ -155,9 +159,8 @@ def power_or_signal(
     """
     kind = "complex" if pixels.dtype.kind == "c" or pixels.ndim == 3 else "real"
     if (kind == "complex") != (quantity == "complex"):
-        raise SarsplatError(
-            f"{name} holds {kind} numbers, but the quantity is {quantity!r}; give that of the files, or other files"
-        )
+        right = "`quantity='complex'`" if kind == "complex" else "amplitude, power or db as `quantity`"
+        raise SarsplatError(f"{name} holds {kind} numbers, but the quantity is {quantity!r}; give {right}")
     value: Shaped[np.ndarray, "rows columns"]
     with np.errstate(over="ignore", invalid="ignore"):
         if quantity == "complex":
@@ -240,6 +243,8 @@ class Values:
     """Pixels without data."""
     tags: Tags
     quantity: Quantity
+    power_factor: float
+    """Factor on the power that the file states, and that is not yet in it; 1 where the user states a scale."""
     assumptions: tuple[str, ...]
     """Assumptions about tags and bands."""
 
@@ -261,9 +266,14 @@ def read_values(
         pixels = np.where(absent, pixels[~absent][0] if pixels.ndim == 2 else pixels.dtype.type(0), pixels)
     if found == "complex" and (bands := meaning_of(pixels, name)):
         told.append(f"the two bands of complex pictures are {bands}")
+    factor = tags.power_factor if (scale, offset) == (1.0, 0.0) else 1.0
     if (scale, offset) == (1.0, 0.0) != (tags.scale, tags.offset):
         scale, offset = tags.scale, tags.offset
         told.append(f"pixels are multiplied by {scale:g}, and {offset:g} is added, as the files say")
     image = power_or_signal(pixels, found, name, scale, offset)
     absent = np.zeros(image.shape, bool) if absent is None else absent
-    return Values(np.where(absent, image.dtype.type(0), image), absent, tags, found, tuple(told))
+    if factor != 1:
+        told.append(
+            f"power is multiplied by each file's own factor{f', of {tags.backscatter}' if tags.backscatter else ''}"
+        )
+    return Values(np.where(absent, image.dtype.type(0), image), absent, tags, found, factor, tuple(told))

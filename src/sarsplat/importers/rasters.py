@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import tifffile
-from jaxtyping import Bool, Shaped
+from jaxtyping import Bool, Complex64, Shaped
 
+from sarsplat.data.csv_table import parsed
 from sarsplat.data.files import open_file
-from sarsplat.data.geotiff import Georeference, georeference_of, opened_raster
-from sarsplat.errors import SarsplatError
+from sarsplat.data.geotiff import UNDEFINED, Georeference, georeference_of, opened_raster
+from sarsplat.errors import SarsplatError, shown
+from sarsplat.names import Backscatter
 
 TIFF = (".tif", ".tiff")
 OTHERS = (".png", ".jpg", ".jpeg", ".npy", ".mat")
 """Endings of pictures that are read without GDAL."""
+_SIDECAR = ".aux.xml"
+_FACTORS = {"scale_factor": 2, "calibration_factor": 1}
+"""Names of producers' factors (Capella's on the magnitude, ICEYE's on the power) → exponent for the power."""
+_NORMALISATIONS: dict[str, Backscatter] = dict(beta_nought="beta0", sigma_nought="sigma0", gamma_nought="gamma0")
+_STATED = re.compile(r'"(?:\w+:)?(scale_factor|calibration_factor|radiometry)"\s*:\s*"?([\w.+-]+)', re.IGNORECASE)
+"""A factor or its normalisation in JSON, perhaps with a prefix."""
 _GEO_KEYS = 34735
 _MEANINGS = {274, 33550, 33922, 34264, _GEO_KEYS, 42112, 42113}
 """Tags of orientation, places, scales and "no data"."""
@@ -35,14 +44,18 @@ class Tags:
     """Factor on the pixels."""
     offset: float = 0.0
     """Number added after that."""
+    power_factor: float = 1.0
+    """Factor on the power: the square of a producer's `scale_factor`, or its `calibration_factor`; NaN of several."""
+    backscatter: Backscatter | None = None
+    """Normalisation of that power, if stated."""
     absent: Bool[np.ndarray, "rows columns"] | None = field(default=None, compare=False)
     """Pixels with the value of "no data", or left out by a mask or a band for transparency; None without such."""
 
 
 def read_raster(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]:
     """Read the only image of a file, [rows, columns] or [bands, rows, columns], and its tags."""
-    if path.suffix.lower() in TIFF and (pixels := _plain_tiff(path)) is not None:
-        return pixels, Tags()
+    if path.suffix.lower() in TIFF and (plain := _plain_tiff(path)) is not None:
+        return plain
     with opened_raster(path) as file:
         _require_plain(path, file)
         bands = [k for k, kind in zip(file.indexes, file.colorinterp, strict=True) if kind.name != "alpha"]
@@ -51,10 +64,37 @@ def read_raster(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]:
             raise SarsplatError(f"{path} has pixels that are transparent in part; write it without its alpha band")
         absent = (masks == 0).any(axis=0)
         pixels = file.read(bands)
-        tags = Tags(georeference_of(file), file.scales[0], file.offsets[0], absent if absent.any() else None)
-    if not np.isfinite([tags.scale, tags.offset]).all():
-        raise SarsplatError(f"{path} names {tags.scale}, {tags.offset} as scale and offset; give finite ones")
+        tags = Tags(georeference_of(file), absent=absent if absent.any() else None, **_scaling(path, file, bands))
     return pixels[0] if len(pixels) == 1 else pixels, tags
+
+
+def sidecar_scaling(path: Path) -> Tags:
+    """Return scale and offset by the file NAME.aux.xml beside a picture, if there is one."""
+    if not path.with_name(path.name + _SIDECAR).exists():
+        return Tags()
+    with opened_raster(path) as file:
+        return Tags(**_scaling(path, file, file.indexes))
+
+
+def _scaling(path: Path, file: Any, bands: Iterable[int]) -> dict[str, Any]:
+    """Return scale, offset and factor on the power of an open raster, by their names in `Tags`."""
+    stated = {(file.scales[k - 1], file.offsets[k - 1]) for k in bands}
+    if len(stated) > 1 or not np.isfinite([*stated]).all():
+        raise SarsplatError(
+            f"{path} names {shown(sorted(stated))} as scale and offset; give finite ones, equal in all bands"
+        )
+    ((scale, offset),) = stated
+    tags = "\n".join(f'"{name}": "{text}"' for name, text in file.tags().items())
+    return {"scale": scale, "offset": offset, **_calibration(tags)}
+
+
+def _calibration(text: str) -> dict[str, Any]:
+    """Return a producer's factor on the power and its normalisation, by tags or the JSON of a description."""
+    stated = {(name.lower(), value.lower()) for name, value in _STATED.findall(text)}
+    numbers = {(name, parsed(value)) for name, value in stated if name in _FACTORS}
+    factor, *others = {number ** _FACTORS[name] for name, number in numbers if 1e-15 <= number <= 1e15} or {1.0}
+    kind = {_NORMALISATIONS.get(value) for name, value in stated if name == "radiometry"} or {None}
+    return {"power_factor": math.nan if others else factor, "backscatter": kind.pop() if len(kind) == 1 else None}
 
 
 def first_georeference(paths: Iterable[Path]) -> Georeference | None:
@@ -71,9 +111,9 @@ def first_georeference(paths: Iterable[Path]) -> Georeference | None:
     return None
 
 
-def _plain_tiff(path: Path) -> Shaped[np.ndarray, "rows columns"] | None:
+def _plain_tiff(path: Path) -> tuple[Shaped[np.ndarray, "rows columns"], Tags] | None:
     """Read the only band of an uncompressed TIFF without special tags; None if GDAL has to read it."""
-    if any(path.with_name(path.name + ending).exists() for ending in (".msk", ".aux.xml")):
+    if any(path.with_name(path.name + ending).exists() for ending in (".msk", _SIDECAR)):
         return None
     with open_file(path) as file:
         size = file.seek(0, 2)
@@ -81,13 +121,27 @@ def _plain_tiff(path: Path) -> Shaped[np.ndarray, "rows columns"] | None:
         try:
             with tifffile.TiffFile(file) as tiff:
                 page: Any = tiff.pages.first
-                bits = 8 * np.dtype(page.dtype).itemsize
+                halves = (page.sampleformat, page.bitspersample) == (6, 32)  # complex, which numpy has no type for
+                bits = 32 if halves else 8 * np.dtype(page.dtype).itemsize
                 plain = (page.compression, page.photometric, page.samplesperpixel) == (1, 1, 1)
                 if len(tiff.pages) > 1 or not plain or page.bitspersample != bits or page.size * bits > 8 * size:
                     return None
-                return None if _MEANINGS & {tag.code for tag in page.tags.values()} else page.asarray()
+                if _MEANINGS & {tag.code for tag in page.tags.values()} or page.sampleformat == UNDEFINED:
+                    return None
+                pixels, description = _halves(file, page) if halves else page.asarray(), page.description
         except Exception:  # a garbled TIFF can fail anywhere inside the parser, with any exception
             return None
+    return pixels, Tags(**_calibration(description))
+
+
+def _halves(file: BinaryIO, page: Any) -> Complex64[np.ndarray, "rows columns"]:
+    """Read an uncompressed image of complex numbers whose parts are 16-bit floats, in strips."""
+    data = b""
+    for offset, count in zip(page.dataoffsets, page.databytecounts, strict=True):
+        file.seek(offset)
+        data += file.read(count)
+    parts = np.frombuffer(data, f"{page.parent.byteorder}f2").reshape(*page.shape, 2).astype(np.float32)
+    return parts.view(np.complex64)[..., 0]
 
 
 def _require_plain(path: Path, file: Any) -> None:

@@ -51,6 +51,7 @@ def import_rslc(
     out: str | Path,
     *,
     size_m: float,
+    images: str | None = None,
     pixel: tuple[float, float] | None = None,
     height_m: float = 0.0,
     heading_deg: float = 90.0,
@@ -70,6 +71,8 @@ def import_rslc(
         Dataset folder to write.
     size_m : float
         Side of the image in azimuth and slant range, e.g. 200m.
+    images : str, optional
+        Sensor and frequency of the images, such as LSAR/frequencyB; the first of the file unless given.
     pixel : (row, column), optional
         The spot, which becomes the origin: azimuth time and slant range, counted from 0. Without it, the middle.
     height_m : float
@@ -98,7 +101,7 @@ def import_rslc(
         If h5py is not installed, the file is not a valid RSLC or does not contain the image, or the output exists.
     """
     folders.refuse_existing(Path(out), overwrite, marker=HEADER)
-    rslc = read_rslc(Path(file))
+    rslc = read_rslc(Path(file), images)
     spot = (rslc.shape[0] // 2, rslc.shape[1] // 2) if pixel is None else pixel
     check_pixel(rslc.path, spot, rslc.shape)
     view, spacing, widths, wider = _seen(rslc, spot, height_m, heading_deg)
@@ -136,6 +139,10 @@ def import_rslc(
             "what is farther away has less phase in the file, whose polarisations are named by what is transmitted and "
             "what is received" + f"; it has one, {rslc.polarisations[0]}" * (not several),
             *assumptions,
+            *(
+                f"the file also has {name} ({', '.join(names)}), which is left out; `images='{name}'` imports it"
+                for name, names in rslc.others.items()
+            ),
             "the resolution is that of the processed bandwidths, without weights"
             + ", as far as the pixels hold them: the file states wider ones" * wider,
         ],
@@ -178,7 +185,8 @@ def _place(
     """Return the place of the spot by the geolocation grid, or None, and sentences on its dependence on height."""
     found, higher = (rslc.geolocation.place(h, *_time_and_range(rslc, spot)) for h in (height_m, height_m + _HIGHER_M))
     if found is None:
-        return None, []
+        why = "does not determine it there" if rslc.geolocation.places is not None else "is not in WGS 84 (EPSG:4326)"
+        return None, [f"where on earth that is stays unknown, for the geolocation grid {why}"]
     place = replace(Place.of_ecef(found, heading_deg), height_m=height_m)
     if higher is None:
         return place, []

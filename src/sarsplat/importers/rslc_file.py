@@ -7,11 +7,10 @@ needed arrays are read.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+import itertools
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 import numpy as np
 from jaxtyping import Complex64, Float64
@@ -19,7 +18,7 @@ from jaxtyping import Complex64, Float64
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry.place import ecef_of_geodetic
-from sarsplat.importers.files import number_in, raise_damaged, require
+from sarsplat.importers.files import complex_of, hdf5_array, number_in, opened_hdf5, raise_damaged, require
 from sarsplat.importers.pictures import power_or_signal
 
 if TYPE_CHECKING:
@@ -34,8 +33,7 @@ _MOST_NUMBERS = 1 << 24
 _NEAREST, _ASTRAY_M = 4, 0.2
 """Number of grid points along an axis for interpolation, and maximum difference, m, to the result of one fewer."""
 _WGS_84 = 4326
-_LARGEST_CHUNK = 64 << 20
-"""Maximum size of a chunk, bytes, which is unpacked at a time."""
+_AXES = ("heightAboveEllipsoid", "zeroDopplerTime", "slantRange")
 
 
 @dataclass(frozen=True)
@@ -53,12 +51,18 @@ class GeolocationGrid:
     """Geocentric places, m; None if the file lacks them, or has them not in longitude and latitude (WGS 84)."""
 
     def at(self, height_m: float, time_s: float, range_m: float) -> tuple[float, float, float]:
-        """Return interpolated east, north and speed; beyond the edges those at the edge."""
+        """Return east, north and speed, interpolated, or extrapolated by at most one cell; raise beyond."""
         found = np.stack([self.east, self.north, self.speed], axis=-1)
-        for line, place in zip(self.axes, (height_m, time_s, range_m), strict=True):
-            index = float(np.interp(place, line, np.arange(len(line))))
-            low = int(index)
-            found = found[low] * (1 - index + low) + found[min(low + 1, len(line) - 1)] * (index - low)
+        for name, line, at in zip(_AXES, self.axes, (height_m, time_s, range_m), strict=True):
+            known, index = np.unique(line, return_index=True)  # rounded axes repeat values
+            low = max(min(int(np.searchsorted(known, at, "right")) - 1, len(known) - 2), 0)
+            share = (at - known[low]) / (known[low + 1] - known[low]) if len(known) > 1 else 0.0
+            if not -1 <= share <= 2:
+                raise SarsplatError(
+                    f"the geolocation grid of the file has {name} from {line[0]:.8g} to {line[-1]:.8g}, but {at:.8g} "
+                    "is asked for; give a `pixel`, or a `height_m`, in its range"
+                )
+            found = found[index[low]] * (1 - share) + found[index[min(low + 1, len(known) - 1)]] * share
         east, north, speed = map(float, found)
         return east, north, speed
 
@@ -110,6 +114,8 @@ class Rslc:
     """The first azimuth time, and their interval."""
     ranges_m: tuple[float, float]
     """The first slant range, and their interval."""
+    others: dict[str, list[str]]
+    """Other images of the file → their polarisations."""
     look: str
     """Side of the track on which the scene lies, "left" or "right"."""
     mission: str
@@ -123,14 +129,10 @@ class Rslc:
         Raises if they cannot be read, are not complex, or one is not finite.
         """
         name = f"{self.group}/{polarisation}"
-        with _opened(self.path) as file:
-            image = _dataset(self.path, file, name)
+        with opened_hdf5(self.path) as file:
+            image = hdf5_array(self.path, file, name)
             stored = image[slice(*lines), slice(*samples)]
-        if stored.dtype.names == ("r", "i"):  # as 16-bit floats are stored, for which there is no complex type
-            joined = np.empty(stored.shape, np.complex64)
-            joined.real, joined.imag = stored["r"], stored["i"]
-            stored = joined
-        return power_or_signal(stored, "complex", f"{self.path}: {name}")
+        return power_or_signal(complex_of(stored), "complex", f"{self.path}: {name}")
 
 
 def is_hdf5(path: Path) -> bool:
@@ -139,28 +141,39 @@ def is_hdf5(path: Path) -> bool:
         return file.read(len(_SIGNATURE)) == _SIGNATURE
 
 
-def read_rslc(path: Path) -> Rslc:
-    """Read the metadata of one file; raise if it is no RSLC, damaged, or a field is missing or impossible."""
+def read_rslc(path: Path, images: str | None = None) -> Rslc:
+    """Read the metadata of one file and of its `images`, such as "LSAR/frequencyB", the first unless given.
+
+    Raises if it is no RSLC, damaged, or a field is missing or impossible.
+    """
     require("h5py", "RSLC files need", "rslc")
     if not is_hdf5(path):
         _refuse(path, "is not an HDF5 file")
-    with _opened(path) as file:
+    with opened_hdf5(path) as file:
         product = next((name for name in _PRODUCTS if name in file), None)
         if product is None:
             _refuse(path, f"has none of {', '.join(_PRODUCTS)}")
-        swaths = f"{product}/swaths"
-        groups = [f"{swaths}/{name}" for name in _FREQUENCIES]
-        group = next((name for name in groups if name in file), groups[0])
+        groups = {
+            f"{one.split('/')[1]}/{name}": group
+            for one, name in itertools.product(_PRODUCTS, _FREQUENCIES)
+            if (group := f"{one}/swaths/{name}") in file
+        }
+        if images is not None and images not in groups:
+            raise SarsplatError(f"{path} has no {shown(images)}; give one of {', '.join(groups)} as `images`")
+        group = groups.pop(images or next(iter(groups), ""), f"{product}/swaths/{_FREQUENCIES[0]}")
+        swaths, product = group.rpartition("/")[0], group.partition("/swaths")[0]
         fields = _Fields(path, file)
-        names = [name for name in _POLARISATIONS if f"{group}/{name}" in file]
-        images = [_dataset(path, file, f"{group}/{name}") for name in names]
-        if not images or any(image.size == 0 or image.id.get_storage_size() == 0 for image in images):
+        names, *others = [
+            [name for name in _POLARISATIONS if f"{at}/{name}" in file] for at in (group, *groups.values())
+        ]
+        stored = [hdf5_array(path, file, f"{group}/{name}") for name in names]
+        if not stored or any(image.size == 0 or image.id.get_storage_size() == 0 for image in stored):
             what = f"no pixels of {', '.join(names)}" if names else "no images"
             raise SarsplatError(
                 f"{path} has {what} in {group}; it describes images without holding them, as examples of a format do, "
                 "so give the whole product"
             )
-        shapes = {image.shape for image in images}
+        shapes = {image.shape for image in stored}
         if len(shapes) != 1 or any(len(shape) != 2 for shape in shapes):
             _refuse(path, f"has no images of one size in {group}, but {' and '.join(sorted(map(shown, shapes)))}")
         shape = shapes.pop()
@@ -185,49 +198,15 @@ def read_rslc(path: Path) -> Rslc:
             ),
             (float(times[0]), fields.number(f"{swaths}/zeroDopplerTimeSpacing", 1e-7, 1.0)),
             (float(ranges[0]), fields.number(f"{group}/slantRangeSpacing", 1e-3, 1e3)),
+            dict(zip(groups, others, strict=True)),
             look,
             fields.text(f"{identification}/missionId"),
             fields.geolocation(f"{product}/metadata/geolocationGrid"),
         )
 
 
-@contextmanager
-def _opened(path: Path) -> Iterator[h5py.File]:
-    """Open a file so that any exception inside h5py, as of a garbled file, becomes one sentence."""
-    import h5py
-
-    with open_file(path):  # a regular file that can be read
-        try:
-            with h5py.File(path, "r", locking=False) as file:
-                yield file
-        except (SarsplatError, MemoryError):
-            raise
-        except Exception as error:
-            raise_damaged(path, f"is not a readable HDF5 file ({shown(str(error))})")
-
-
 def _refuse(path: Path, problem: str) -> NoReturn:
     raise SarsplatError(f"{path} {problem}; give an RSLC in NISAR's layout")
-
-
-def _dataset(path: Path, file: h5py.File, name: str) -> h5py.Dataset:
-    """Return an array of the file; raise if it lies in another file."""
-    import h5py
-
-    at: Any = file
-    for part in name.split("/"):
-        if not isinstance(at, h5py.Group) or part not in at:
-            _refuse(path, f"has no {name}")
-        if not isinstance(at.get(part, getlink=True), h5py.HardLink):
-            _refuse(path, f"has {name} elsewhere, by a link, not in the file itself")
-        at = at[part]
-    if not isinstance(at, h5py.Dataset) or at.shape is None:
-        _refuse(path, f"has no array {name}")
-    if at.external or at.is_virtual:
-        _refuse(path, f"has {name} in another file")
-    if at.chunks is not None and np.prod(at.chunks, dtype=float) * at.dtype.itemsize > _LARGEST_CHUNK:
-        raise SarsplatError(f"{path} has {name} in chunks {shown(at.chunks)}; write it again in smaller ones")
-    return at
 
 
 class _Fields:
@@ -237,7 +216,7 @@ class _Fields:
         self._path, self._file = path, file
 
     def _array(self, name: str) -> np.ndarray:
-        stored = _dataset(self._path, self._file, name)
+        stored = hdf5_array(self._path, self._file, name)
         if stored.size > _MOST_NUMBERS or stored.dtype.kind not in "iuf":
             raise_damaged(self._path, f"has {stored.dtype} of shape {shown(stored.shape)} as {name}")
         values = np.asarray(stored[()], np.float64)
@@ -265,14 +244,13 @@ class _Fields:
         raise_damaged(self._path, f"has numbers that neither rise nor fall as {name}")
 
     def text(self, name: str) -> str:
-        stored = _dataset(self._path, self._file, name)
+        stored = hdf5_array(self._path, self._file, name)
         value = stored[()] if stored.shape == () and stored.dtype.kind in "SO" else b"?"
         text = value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
         return "".join(letter if letter.isprintable() else "?" for letter in text.strip("\0 "))[:80]
 
     def geolocation(self, name: str) -> GeolocationGrid:
-        names = ("heightAboveEllipsoid", "zeroDopplerTime", "slantRange")
-        axes, steps = zip(*(self.axis(f"{name}/{one}") for one in names), strict=True)
+        axes, steps = zip(*(self.axis(f"{name}/{one}") for one in _AXES), strict=True)
         values = [self._array(f"{name}/{one}") for one in ("losUnitVectorX", "losUnitVectorY", "groundTrackVelocity")]
         expected = tuple(map(len, axes))
         for value in values:

@@ -33,7 +33,14 @@ from sarsplat.importers.images import (
     write_imported,
 )
 from sarsplat.importers.measured_image import MeasuredImage
-from sarsplat.importers.sicd_chip import chip, resolution_of, response_along, spacing_of, stack_image
+from sarsplat.importers.sicd_chip import (
+    chip,
+    contradictory_calibration,
+    resolution_of,
+    response_along,
+    spacing_of,
+    stack_image,
+)
 from sarsplat.importers.sicd_file import Sicd, read_sicd
 from sarsplat.importers.sicd_geometry import Layout, layout_around, said_of_place, spot_of_centre, spot_of_pixel
 
@@ -93,8 +100,8 @@ def import_sicd(
     Returns
     -------
     Dataset
-        Complex images; β⁰ (calibration "absolute") if every file states the factor. `source["assumptions"]` lists what
-        was assumed.
+        Complex images; β⁰ (calibration "absolute") if every file states the factor to it, to σ⁰, γ⁰ or RCS.
+        `source["assumptions"]` lists assumptions.
 
     Raises
     ------
@@ -121,7 +128,7 @@ def import_sicd(
     spacing = float(finest[0]), float(finest[1])
     columns, rows = (round(size_m / step) for step in spacing)
     check_sides(size_m, rows, columns, f"{spacing[0]:.3g} m × {spacing[1]:.3g} m")
-    absolute = all(sicd.beta_zero is not None for sicd in sicds)
+    absolute = all(sicd.calibration for sicd in sicds)
     names = _names(paths)
     images = (
         [stack_image(names[0], sicds, spot, layouts[0], (rows, columns), spacing, absolute)]
@@ -218,9 +225,9 @@ def _assumptions(
         "left-looking ones are laid out as a right-looking radar at the same place would record them: columns run "
         "against the flight, and nothing is mirrored",
         f"the weighting is {', '.join(windows)}; widths of the response are those that the files state",
-        "power is β⁰ by the files' own polynomials"
+        f"power is β⁰ by the files' own polynomials ({', '.join({next(iter(sicd.calibration)): 0 for sicd in sicds})})"
         if absolute
-        else f"{sum(sicd.beta_zero is None for sicd in sicds)} of {counted(len(sicds), 'file')} do not say how to get "
+        else f"{sum(not sicd.calibration for sicd in sicds)} of {counted(len(sicds), 'file')} do not say how to get "
         "β⁰, so power is known up to one factor, which is taken to be the same for all",
     ]
     if stack:
@@ -228,6 +235,9 @@ def _assumptions(
             "the files are coregistered to the grid of the first, and the phases of each are referred to the range of "
             "its scene centre point; those of the spot are made equal, and those of level ground are kept"
         )
+    contradictions = map(contradictory_calibration, sicds, layouts) if absolute else ()
+    for text in filter(None, contradictions):
+        assume(sentences, text)
     polarizations = sorted({sicd.collection.get("polarization", "not stated") for sicd in sicds})
     if len(polarizations) > 1 and not stack:
         differ = f"polarisations differ ({', '.join(polarizations)}), but are taken to show the same power"

@@ -30,6 +30,7 @@ from sarsplat.importers.phase_history import SPEED_OF_LIGHT
 from sarsplat.importers.sarkit_xml import sarkit_errors
 from sarsplat.importers.sicd_file import Axis, Sicd
 from sarsplat.importers.sicd_geometry import Layout, middle_of, on_ground
+from sarsplat.radiometry import to_db
 
 _ASKEW = 0.05
 """Maximum slope between axes of image and view at which side lobes run along the latter."""
@@ -39,6 +40,9 @@ _APART = 0.1
 
 _SAME_FREQUENCY = 1e-4
 """Relative tolerance of equal centre frequencies."""
+
+_SAME_DB = 0.3
+"""Maximum difference of calibrations by the angles of the scene centre point and those of the spot, dB."""
 
 _UNSTACKED = "leave out `stack`"
 _DIGITS = 8
@@ -98,13 +102,43 @@ def chip(
     centred = part * np.exp(2j * np.pi * _carrier(sicd, middle, sicd.place_of(lattice)))
     values = interpolate(centred.astype(np.complex64), pixel[:, 0] - first[0], pixel[:, 1] - first[1], occupied)
     factor = np.exp(-2j * np.pi * _carrier(sicd, middle, place))
-    if absolute and sicd.beta_zero is not None:
-        power = _polynomial(sicd.beta_zero, place)
+    if absolute:
+        name, polynomial = next(iter(sicd.calibration.items()))
+        power = _polynomial(polynomial, place)
         if not (power > 0).all():
-            raise_damaged(sicd.path, f"has a BetaZeroSFPoly that is {power.min():.4g}, not positive, around the spot")
-        # pixels with a level azimuth axis are larger than in the tilted slant plane
-        factor = factor * np.sqrt(power * math.cos(math.radians(layout.tilt_deg - layout.view.tilt_deg)))
+            raise_damaged(sicd.path, f"has a {name}SFPoly that is {power.min():.4g}, not positive, around the spot")
+        factor = factor * np.sqrt(power * _to_beta0(sicd, layout)[name])
     return (values * factor).astype(np.complex64).reshape(shape)
+
+
+def _to_beta0(sicd: Sicd, layout: Layout) -> dict[str, float]:
+    """Return factors from each calibrated quantity of a file to β⁰ of the view.
+
+    Pixels with a level azimuth axis are larger than in a tilted slant plane. With the slope s of the view's image plane
+    and the grazing angle θ, β⁰ = σ⁰ / cos s and σ⁰ = γ⁰ sin θ; RCS belongs to a peak, whose response has an area.
+    """
+    cos_slope, sin_grazing = float(layout.view.look.frame[1, 2]), -float(layout.view.look.frame[2, 2])
+    area = math.prod(axis.area_per_width / axis.bandwidth for axis in sicd.axes)
+    return {
+        "BetaZero": math.cos(math.radians(layout.tilt_deg - layout.view.tilt_deg)),
+        "SigmaZero": 1 / cos_slope,
+        "GammaZero": sin_grazing / cos_slope,
+        "RCS": abs(float(np.linalg.det(layout.slopes))) / area,
+    }
+
+
+def contradictory_calibration(sicd: Sicd, layout: Layout) -> str | None:
+    """Return a sentence if the polynomials of a file differ about β⁰ at the spot; None if not."""
+    spot = layout.place_of(np.zeros(1), np.zeros(1))
+    factors = {
+        name: by * float(_polynomial(sicd.calibration[name], spot)[0])
+        for name, by in _to_beta0(sicd, layout).items()
+        if name in sicd.calibration
+    }
+    used, *others = factors
+    apart = {name: abs(float(to_db(factors[name] / factors[used]))) for name in others if factors[used] > 0}
+    wrong = [f"{name}SFPoly by {decibels:.1f} dB" for name, decibels in apart.items() if decibels > _SAME_DB]
+    return f"β⁰ by {used}SFPoly of {sicd.path.name}, which is used, differs from {', '.join(wrong)}" if wrong else None
 
 
 def _carrier(

@@ -12,7 +12,7 @@ from jaxtyping import Complex64, Float64
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry.responses import GAUSSIAN, UNIFORM, Response, stated_taylor
-from sarsplat.importers.files import number_in, raise_damaged, require
+from sarsplat.importers.files import complex_of, number_in, raise_damaged, require
 from sarsplat.importers.sarkit_xml import Metadata, Segment, any_version, read_nitf, sarkit_errors
 
 if TYPE_CHECKING:
@@ -26,6 +26,9 @@ LARGEST = 1e9
 
 FARTHEST = 1e12
 """Maximum of all numbers in the metadata."""
+
+CALIBRATIONS = ("BetaZero", "SigmaZero", "GammaZero", "RCS")
+"""Quantities of `Radiometric`, in the order of preference."""
 
 _NAMESPACE = "urn:SICD:"
 _READ_AS = dict.fromkeys(("0.4.0", "0.4.1", "0.5.0", "1.0.0", "1.0.1"), "1.1.0") | {"1.2.0": "1.2.1"}
@@ -51,8 +54,9 @@ class Sicd:
     """Segments of the file with all rows of the image."""
     amplitudes: Float64[np.ndarray, " 256"] | None
     """Amplitudes by index of "AMP8I_PHS8I"; None for the index itself."""
-    beta_zero: Float64[np.ndarray, "m n"] | None
-    """Factor from power to β⁰: a polynomial in (xrow, ycol), m; None if unknown."""
+    calibration: dict[str, Float64[np.ndarray, "m n"]]
+    """Quantity ("BetaZero", "SigmaZero", "GammaZero" or "RCS") → factor to it from power, a polynomial in (xrow, ycol),
+    m."""
     frequency_hz: float | None
     """Centre of the processed band; None if not stated."""
     collection: dict[str, str]
@@ -81,11 +85,8 @@ class Sicd:
     def read(self, rows: tuple[int, int], columns: tuple[int, int]) -> Complex64[np.ndarray, "rows columns"]:
         """Read amplitudes from the first row and column to before the last; raise if one is not finite or too large."""
         raw = self._stored(rows, columns)
-        if self.pixel_type == "RE32F_IM32F":
-            values = raw.astype(np.complex64)
-        elif self.pixel_type == "RE16I_IM16I":
-            values = np.empty(raw.shape, np.complex64)
-            values.real, values.imag = raw["real"], raw["imag"]
+        if self.pixel_type != "AMP8I_PHS8I":
+            values = complex_of(raw).astype(np.complex64)
         else:
             amplitude = raw["amp"].astype(np.float64) if self.amplitudes is None else self.amplitudes[raw["amp"]]
             values = (amplitude * np.exp(2j * np.pi / 256 * raw["phase"])).astype(np.complex64)
@@ -139,7 +140,11 @@ def read_sicd(path: Path) -> Sicd:
             pixel_type,
             segments,
             fields_of.amplitudes(),
-            fields_of.polynomial("Radiometric/BetaZeroSFPoly"),
+            {
+                name: factor
+                for name in CALIBRATIONS
+                if (factor := fields_of.polynomial(f"Radiometric/{name}SFPoly")) is not None
+            },
             fields_of.centre_frequency(),
             fields_of.collection(),
         )
@@ -196,6 +201,8 @@ class Axis:
     """Sign of the exponent in the Fourier transform to spatial frequencies, 1 or −1."""
     carrier: Float64[np.ndarray, "m n"]
     """Centre of the band, cycles/m: a polynomial in (xrow, ycol), m."""
+    area_per_width: float
+    """Width of a rectangle with the area and the peak of the power response, times the bandwidth; 1 without weights."""
     window: str
     """Weighting of the band, as the file names it; "" if not stated."""
     response: Response
@@ -238,9 +245,18 @@ class SicdFields(Metadata):
             self._number(f"Grid/{name}/ImpRespBW", 1e-5, 1e4),
             sign,
             np.zeros((1, 1)) if carrier is None else carrier,
+            self._area(f"Grid/{name}/WgtFunct"),
             "" if window == "UNKNOWN" else window,
             self._response(f"Grid/{name}/WgtType", window),
         )
+
+    def _area(self, name: str) -> float:
+        """Return the area of the power response for a peak and a bandwidth of 1, by the weights of the band."""
+        weights = self._load(name)
+        if weights is None:
+            return 1.0
+        area = np.mean(np.square(weights)) / np.square(np.mean(weights))
+        return number_in(self.path, float(area), name, 1.0, 1e3)
 
     def _response(self, name: str, window: str) -> Response:
         """Return the response of a uniform window or of a Taylor window with stated parameters; otherwise Gaussian."""

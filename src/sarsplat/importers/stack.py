@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
@@ -20,9 +19,6 @@ from sarsplat.importers.listed_images import Angles, in_range, read_pictures, wr
 from sarsplat.importers.measured_image import MeasuredImage
 from sarsplat.importers.table import ListedPicture, PictureTable, read_picture_table
 from sarsplat.names import Backscatter, Transmit
-
-_NO_RADIANS = {"deg", "degree", "degrees", "m", "metre", "metres", "meter", "meters"}
-"""Last words of names of columns that do not hold b/R."""
 
 _SHARED = {
     "view": "angles",
@@ -147,12 +143,6 @@ def _check_columns(listed: PictureTable) -> None:
             f"{listed.path} lacks a column of views, whose rows are channels, or one of baselines (b/R, rad) or "
             "polarisations; name them with `columns={'view': 'NAME', 'baseline': 'NAME'}` (or polarisation), or import "
             "single images with `sarsplat import folder`"
-        )
-    unit = re.findall(r"[a-z]+", columns.get("baseline", "").lower())[-1:]
-    if set(unit) & _NO_RADIANS:
-        raise SarsplatError(
-            f"the column {shown(columns['baseline'])} of {listed.path} seems to hold {unit[0]}; give perpendicular "
-            "baselines over the range, b/R, in radians, and call it baseline"
         )
 
 

@@ -12,7 +12,16 @@ from sarsplat.data.csv_table import CsvTable, Row, parsed, read_table
 from sarsplat.data.orientation import SIDES
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.importers.about import AboutPictures
-from sarsplat.importers.columns import LOOKS, PER_UNIT, Columns, chosen_columns, recognised, require, require_degrees
+from sarsplat.importers.columns import (
+    FACTORS,
+    LOOKS,
+    Columns,
+    chosen_columns,
+    converted,
+    recognised,
+    require,
+    require_azimuths,
+)
 from sarsplat.importers.files import files_in, listed_files, warn_caller
 from sarsplat.importers.pictures import PICTURE_ENDINGS
 from sarsplat.importers.rasters import first_georeference
@@ -20,6 +29,8 @@ from sarsplat.names import Quantity, Side
 
 _SCALES = 1e-15, 1e15
 """Least and largest scale of pixels; the square of no magnitude leaves float32."""
+_PRODUCTS = {"manifest.safe": "SAFE (Sentinel-1)", "led-al": "CEOS (ALOS)"}
+"""Beginnings of files' names, in small letters → layouts of satellites' products."""
 _ROUNDED_DEG = 1.0 + 1e-6
 """Maximum difference from 90° of the sum of grazing and incidence angles in whole degrees."""
 
@@ -48,7 +59,9 @@ class ListedPicture:
     tilt_deg: float | None
     """Angle by which its azimuth axis rises above the level one."""
     scale: float | None
-    """Factor on the pixels: of a column scale, or 1 / dn-per-magnitude or 1 / dn-per-power."""
+    """Factor on the pixels."""
+    power_factor: float | None
+    """Factor on the power: of a column dn-per-magnitude, dn-per-power, scale-factor or calibration-factor."""
     offset: float | None
     """Number added to the scaled pixels."""
     near: Side | None
@@ -74,7 +87,7 @@ class PictureTable:
     @property
     def real(self) -> Quantity | None:
         """Quantity of real numbers in the pictures, by the column of their scale, or None."""
-        known = [quantities[0] for meaning, quantities in PER_UNIT.items() if meaning in self.columns]
+        known = [kinds[0] for meaning, (exponent, kinds) in FACTORS.items() if meaning in self.columns and exponent < 0]
         return known[0] if known and "scale" not in self.columns else None
 
     @property
@@ -103,7 +116,9 @@ def read_picture_table(folder: Path, about: AboutPictures, *, compass: bool = Fa
     columns = chosen_columns(table, named)
     spacing = about.get("spacing_m") is None and first_georeference(sorted(folder.rglob("*"))) is None
     require(table, columns, about.get("grazing_deg") is None, spacing, about.get("look") is not None)
-    require_degrees(table, columns, compass or about.get("azimuth_offset_deg") is not None)
+    require_azimuths(table, columns, compass or about.get("azimuth_offset_deg") is not None)
+    heading = _heading(table, columns, named)
+    table = converted(table, columns if heading is None else {**columns, "heading": heading})
     column = columns["file"]
     row_of: dict[Path, Row] = {}
     for row, picture in listed_files(folder, table, table.rows, column, of="picture", endings=PICTURE_ENDINGS):
@@ -116,7 +131,6 @@ def read_picture_table(folder: Path, about: AboutPictures, *, compass: bool = Fa
         warn_caller(f"{table.path} has no row for {counted(unlisted, 'picture')} in {folder}, left out")
     target = _one_class(table, columns, about.get("target_class"), list(row_of.values()))
     chosen = {at: row for at, row in row_of.items() if target is None or row[1][columns["class"]] == target}
-    heading = _heading(table, columns, named)
     pictures = (_listed(table, row, columns, heading, at) for at, row in _placed(table, columns, chosen).items())
     return PictureTable(table.path, columns, target, tuple(pictures))
 
@@ -158,6 +172,12 @@ def _one_class(table: CsvTable, columns: Columns, chosen: str | None, rows: list
 
 def _only_table(folder: Path, files: list[Path]) -> Path:
     tables = [path for path in files if path.suffix.lower() == ".csv"]
+    products = {kind for path in files for start, kind in _PRODUCTS.items() if path.name.lower().startswith(start)}
+    if products and not tables:
+        raise SarsplatError(
+            f"{folder} holds a product in {products.pop()}, whose geometry is not read; convert it to SICD, as by "
+            "sarpy, and give that to `sarsplat import sicd`"
+        )
     if len(tables) != 1:
         number = f"{len(tables)} tables (CSV)" if tables else "no table (CSV) of its pictures"
         raise SarsplatError(f"{folder} has {number}; give the right one as `table`")
@@ -197,7 +217,8 @@ def _listed(table: CsvTable, row: Row, columns: Columns, heading: str | None, pa
         split=_split(table, row, columns["split"]) if text("split") else None,
         looks_left=LOOKS[one_of(table, row, columns["look"], LOOKS)] if text("look") else None,
         tilt_deg=number("tilt"),
-        scale=_scale(table, row, columns),
+        scale=number("scale"),
+        power_factor=_power_factor(table, row, columns),
         offset=number("offset"),
         near=cast(Side, one_of(table, row, columns["near-side"], SIDES)) if text("near-side") else None,
         view=text("view") or None,
@@ -228,14 +249,15 @@ def _require_right_angle(table: CsvTable, row: Row, columns: Columns) -> None:
         )
 
 
-def _scale(table: CsvTable, row: Row, columns: Columns) -> float | None:
-    """Return the factor on a row's pixels; None if no row states one."""
-    if "scale" in columns:
-        return table.number(row, columns["scale"]) if row[1][columns["scale"]] else None
-    column = next((columns[one] for one in PER_UNIT if one in columns), None)
-    if column is None or not any(cells[column] for _, cells in table.rows):
-        return None
-    return 1 / positive(table, row, column)
+def _power_factor(table: CsvTable, row: Row, columns: Columns) -> float | None:
+    """Return the factor on a row's power; None if no row states one, or a column of scales is named."""
+    stated = [(columns[one], power) for one, (power, _) in FACTORS.items() if one in columns and "scale" not in columns]
+    stated = [(column, power) for column, power in stated if any(cells[column] for _, cells in table.rows)]
+    if len(stated) > 1:
+        raise SarsplatError(
+            f"{table.path} states two factors of its pictures, {stated[0][0]} and {stated[1][0]}; remove or rename one"
+        )
+    return math.prod(positive(table, row, column) ** power for column, power in stated) if stated else None
 
 
 def _split(table: CsvTable, row: Row, column: str) -> str:

@@ -9,12 +9,13 @@ import json
 import logging
 import os
 import re
+import struct
 import warnings
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Integer
 
 from sarsplat.arguments import check_number, checks_arguments
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
@@ -35,6 +36,14 @@ _LONGEST_SCENE = 1 << 20  # maximum length of the JSON in a .glb file, bytes
 _MAX_PARTS = 2_000  # maximum number of nodes and primitives of a glTF scene: trimesh takes 0.1 ms for each
 _MAX_SOLIDS = 1_000  # maximum number of solids in an ASCII .stl file: 0.5 ms for each
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+
+_VISIBLE = "KHR_node_visibility"
+_HARMLESS = re.compile(r"[A-Z]+_(materials|texture|lights|xmp)\w*|KHR_mesh_quantization|" + _VISIBLE)
+"""Names of glTF's extensions that do not change the surface, or that are read here."""
+_FAN, _TRIANGLES = 6, 4
+"""Modes of primitives of a .glb file."""
+_INDICES = {5121: "u1", 5123: "<u2", 5125: "<u4"}
+"""Types of indices in a .glb file → types of numpy."""
 
 _MISSING = "has faces that refer to missing vertices; repair the mesh"
 _COMMENT = re.compile(rb"#[^\n]*")
@@ -168,7 +177,13 @@ def read_mesh(path: Path) -> Trimesh:
         data = (header + end).replace(b"\r", b"\n") + body
     try:
         if kind == ".glb":
-            _check_glb(data)
+            data, hidden = _plain_glb(data, _scene_of(data))
+            if hidden:
+                warnings.warn(
+                    f"'{path}': left out {counted(hidden, 'node')} that the file hides; show them if they are there",
+                    SarsplatWarning,
+                    stacklevel=2,
+                )
         data = data if binary else _plain_text(kind, data)
         cut = polygon_mesh(kind, data)
     except SarsplatError as error:
@@ -266,23 +281,71 @@ def _corner(word: bytes, counts: list[int]) -> bytes:
     return b"/".join(numbers)
 
 
-def _check_glb(data: bytes) -> None:
-    """Raise if the JSON of a scene describes far more data than the file holds."""
+def _scene_of(data: bytes) -> dict[str, Any]:
+    """Return the JSON of a scene; raise if it describes far more data than the file holds, or needs an extension."""
     length = int.from_bytes(data[12:16], "little")
     if data[:4] != b"glTF" or data[16:20] != b"JSON" or length > min(len(data) - 20, _LONGEST_SCENE):
         raise SarsplatError(f"is not a whole .glb file with at most {_LONGEST_SCENE} bytes of JSON; export it again")
     try:
-        scene = json.loads(data[20 : 20 + length].decode())
+        scene: dict[str, Any] = json.loads(data[20 : 20 + length].decode())
         gaussians = "KHR_gaussian_splatting" in scene.get("extensionsUsed", ())
+        needed = [name for name in scene.get("extensionsRequired", ()) if not _HARMLESS.fullmatch(name)]
         numbers, parts = _unfolded(scene)
     except (LookupError, TypeError, AttributeError, ValueError, RecursionError) as error:
         raise SarsplatError(f"has a garbled scene ({repr(error)[:200]}); export it again") from error
     if gaussians:
         raise SarsplatError("holds Gaussians (KHR_gaussian_splatting), which are not read from .glb; give their PLY")
+    if needed:
+        raise SarsplatError(f"needs {', '.join(needed)[:80]}, which is not read; export it without that extension")
     if numbers > 2 * len(data) + _FREE_NUMBERS or parts > _MAX_PARTS:
         raise SarsplatError(
             f"expands {len(data)} bytes to {numbers} numbers in {parts} parts; export it as one plain mesh"
         )
+    return scene
+
+
+def _plain_glb(data: bytes, scene: dict[str, Any]) -> tuple[bytes, int]:
+    """Return a .glb file whose fans are triangles and whose hidden nodes are empty, and the number of these."""
+    length = int.from_bytes(data[12:16], "little")
+    values, nodes = data[28 + length :], scene.get("nodes", [])
+    try:
+        hidden = [node for node in nodes if not node.get("extensions", {}).get(_VISIBLE, {}).get("visible", True)]
+        fans = [one for mesh in scene.get("meshes", ()) for one in mesh["primitives"] if one.get("mode") == _FAN]
+        for node in hidden:
+            node.pop("mesh", None), node.pop("children", None)
+        for fan in fans:
+            corners = _corners_of(scene, fan, values)
+            first = np.broadcast_to(corners[:1], len(corners) - 2)
+            triangles = np.stack([first, corners[1:-1], corners[2:]], axis=1).astype("<u4")
+            values += bytes(-len(values) % 4)
+            scene["bufferViews"].append({"buffer": 0, "byteOffset": len(values), "byteLength": triangles.nbytes})
+            view = {"bufferView": len(scene["bufferViews"]) - 1, "componentType": 5125, "type": "SCALAR"}
+            scene["accessors"].append({**view, "count": triangles.size})
+            fan |= {"indices": len(scene["accessors"]) - 1, "mode": _TRIANGLES}
+            values += triangles.tobytes()
+        for index in {one["attributes"]["POSITION"] for mesh in scene.get("meshes", ()) for one in mesh["primitives"]}:
+            if scene["accessors"][index].get("normalized"):
+                raise ValueError("normalised positions are not read")
+    except (LookupError, TypeError, AttributeError, ValueError) as error:
+        raise SarsplatError(f"has a garbled scene ({repr(error)[:200]}); export it again") from error
+    if not (hidden or fans):
+        return data, 0
+    for buffer in scene.get("buffers", ())[:1]:
+        buffer["byteLength"] = len(values)
+    text = json.dumps(scene).encode()
+    chunks = [(text + b" " * (-len(text) % 4), b"JSON"), (values + bytes(-len(values) % 4), b"BIN\0")]
+    body = b"".join(struct.pack("<I4s", len(chunk), name) + chunk for chunk, name in chunks)
+    return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body, len(hidden)
+
+
+def _corners_of(scene: dict[str, Any], primitive: dict[str, Any], values: bytes) -> Integer[np.ndarray, " n"]:
+    """Return the indices of a primitive's vertices."""
+    accessors = scene["accessors"]
+    if "indices" not in primitive:
+        return np.arange(accessors[primitive["attributes"]["POSITION"]]["count"])
+    stored = accessors[primitive["indices"]]
+    start = scene["bufferViews"][stored["bufferView"]].get("byteOffset", 0) + stored.get("byteOffset", 0)
+    return np.frombuffer(values, _INDICES[stored["componentType"]], stored["count"], start)
 
 
 def _unfolded(scene: dict[str, Any]) -> tuple[int, int]:

@@ -1,0 +1,166 @@
+"""Remedies of sentences that name an argument are followed, and end in a dataset."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("h5py")
+pytest.importorskip("sarkit")
+
+from made_imports import AZIMUTHS, NOISY, POWER, THREE, import_pictures, write_passes, write_pictures
+from programs import ROOT
+from rslcs import write_rslc
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import Terrain
+from sarsplat.importers import import_rslc, import_sicd, import_stack
+from sicds import SPOT, Recording, Track, write_sicd
+
+NOT_RUN = 61
+"""Sentences with an argument whose remedy is not followed here; this number may only fall."""
+_ARGUMENT = re.compile(r"`[a-z_]+(=[^`]*)?`|`[a-z_]+=|\w=(True|False|None|'\w+')")
+
+Case = tuple[str, str, list[Any], dict[str, Any], dict[str, Any]]
+"""Words of the sentence, names of columns, cells of a row after file and azimuth, options, and those of the remedy."""
+NEW = "file,azimuth,grazing"
+FOLDERS: list[Case] = [
+    (
+        "names both",
+        NEW + ",inc",
+        [30, 60],
+        {"columns": {"grazing": "grazing", "inc": "inc"}},
+        {"columns": {"inc": "inc"}},
+    ),
+    ("several columns that may be the azimuth", "file,azim,grazing,az", [30, 0], {}, {"columns": {"az": "azim"}}),
+    ("like the grazing", "file,azimuth,x", [30], {}, {"grazing_deg": 30.0}),
+    ("like the grazing", "file,azimuth,x", [30], {}, {"columns": {"incidence": "x"}}),
+    ("like the spacing", NEW, [30], {"spacing_m": None}, {"spacing_m": (0.1, 0.3)}),
+    (
+        "flight or sight",
+        "file,track,grazing",
+        [30],
+        {"columns": {"az": "track"}},
+        {"columns": {"heading": "track"}, "look": "left"},
+    ),
+    ("north by its name", "file,north,grazing", [30], {"columns": {"az": "north"}}, {"azimuth_offset_deg": 0.0}),
+    ("side to which the radar looks", "file,heading,grazing", [30], {}, {"look": "right"}),
+    ("to which side", "file,heading,grazing,look", [30, ""], {}, {"look": "right"}),
+    (
+        "which run clockwise",
+        "file,heading,grazing",
+        [30],
+        {"look": "left", "counter_clockwise": True},
+        {"counter_clockwise": False},
+    ),
+    ("in the direction", NEW + ",heading,look", [30, 45, "left"], {}, {"columns": {"azimuth": "azimuth"}}),
+    ("in the direction", NEW + ",heading,look", [30, 45, "left"], {}, {"columns": {"heading": "heading"}}),
+    ("near range of", NEW + ",near_side", [30, "left"], {"near": "top"}, {"near": None}),
+    ("scales pictures by", NEW + ",scale_factor", [30, 2], {}, {"quantity": "amplitude"}),
+    ("scales pictures by", NEW + ",scale_factor", [30, 2], {}, {"columns": {"scale": "scale_factor"}}),
+    ("of unknown meaning", NEW, [30], {"quantity": None}, {"quantity": "power"}),
+    ("holds real numbers", NEW, [30], {"quantity": "complex"}, {"quantity": "power"}),
+    ("of 4 classes|of 2 classes", NEW + ",class", [30, "{k}"], {}, {"target_class": "1"}),
+    ("no column of classes", NEW + ",kind", [30, "a"], {"target_class": "a"}, {"columns": {"class": "kind"}}),
+    ("do not add to 90", NEW + ",incidence", [30, 50], {}, {"columns": {"incidence": "incidence"}}),
+    ("geocoded_height_m", NEW, [30], {"geocoded_height_m": 0.5}, {"geocoded": "level"}),
+    ("state the resolution", NEW, [30], {"geocoded": "level", "resolution_m": None}, {"resolution_m": (0.2, 0.4)}),
+    ("needs the heights", NEW, [30], {"geocoded": "terrain"}, {"terrain": Terrain(np.zeros((9, 9)), (5.0, 5.0))}),
+    ("`near` is for pictures", NEW, [30], {"geocoded": "level", "near": "top"}, {"near": None}),
+    ("state the spacing", NEW + ",spacing", [30, ""], {"spacing_m": None}, {"spacing_m": (0.1, 0.3)}),
+    ("state the grazing angle", NEW, [""], {}, {"grazing_deg": 30.0}),
+    ("already exists", NEW, [30], {"overwrite": False}, {"overwrite": True}),
+]
+
+
+def _templates() -> Iterator[re.Pattern[str]]:
+    """Sentences of these rooms that name an argument, as patterns."""
+    for room in ("importers", "data", "exports", "examination", "gaussians"):
+        for path in (ROOT / "src" / "sarsplat" / room).rglob("*.py"):
+            tree = ast.parse(path.read_text())
+            parts = {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in ast.walk(node)}
+            docs = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+            for node in ast.walk(tree):
+                match node:
+                    case ast.JoinedStr(values):
+                        text = "".join(str(v.value) if isinstance(v, ast.Constant) else "\0" for v in values)
+                    case ast.Constant(str(text)) if id(node) not in parts | docs:
+                        pass
+                    case _:
+                        continue
+                if _ARGUMENT.search(text):
+                    yield re.compile(re.escape(text).replace("\0", ".*"), re.DOTALL)
+
+
+def _made(folder: Path) -> Path:
+    folder.mkdir()
+    return folder
+
+
+@pytest.mark.filterwarnings("ignore::sarsplat.errors.SarsplatWarning")
+def test_remedies_work_when_followed(tmp_path: Path) -> None:
+    said = []
+
+    def follow(words: str, do: Callable[..., object], options: dict[str, Any], remedy: dict[str, Any]) -> None:
+        with pytest.raises(SarsplatError, match=words) as told:
+            do(**options)
+        said.append(str(told.value))
+        named = {name for name in remedy if f"`{name}" in said[-1] or f"{name}=" in said[-1]}
+        assert named, (said[-1], remedy)
+        do(**{**options, **remedy})
+
+    for k, (words, names, cells, options, remedy) in enumerate(FOLDERS):
+        rows = [[f"{n}.npy", a, *(n if cell == "{k}" else cell for cell in cells)] for n, a in enumerate(AZIMUTHS)]
+        folder = write_pictures(_made(tmp_path / str(k)) / "in", POWER, rows, names)
+        if words == "already exists":
+            import_pictures(folder)
+        follow(words, lambda folder=folder, **given: import_pictures(folder, **given), options, remedy)
+    for pixels, wrong, right in ((10 * np.log10(POWER), "power", "db"), (POWER * 1e4, "db", "power")):
+        folder = write_pictures(_made(tmp_path / wrong) / "in", pixels)
+        follow(
+            "as (power|db);",
+            lambda folder=folder, **given: import_pictures(folder, **given),
+            {"quantity": wrong},
+            {"quantity": right},
+        )
+    radar = write_rslc(tmp_path / "a.h5", {"HH": np.ones((40, 30), np.complex64)})
+    sicd = write_sicd(tmp_path / "a.nitf", Track(), [(0.0, 0.0, 0.0)], Recording())
+    passes = write_passes(tmp_path / "passes", NOISY, THREE)
+    table = passes / "passes.csv"
+    table.write_text(table.read_text().replace("view", "shot"))
+    out: dict[str, Any] = {"out": tmp_path / "out", "overwrite": True}
+    for do, words, options, remedy in (
+        (partial(import_rslc, radar, **out), "is outside", {"size_m": 50.0, "pixel": (99, 3)}, {"pixel": (20, 14)}),
+        (partial(import_rslc, radar, **out), "are asked for", {"size_m": 300.0}, {"size_m": 50.0}),
+        (partial(import_rslc, radar, **out), "makes", {"size_m": 1.0}, {"size_m": 50.0}),
+        (partial(import_rslc, radar, **out), "grid of the file", {"size_m": 50.0, "height_m": 9e4}, {"height_m": 0.0}),
+        (
+            partial(import_rslc, radar, **out),
+            "has no 'LSAR/frequencyB'",
+            {"size_m": 50.0, "images": "LSAR/frequencyB"},
+            {"images": "LSAR/frequencyA"},
+        ),
+        (
+            partial(import_sicd, [sicd], **out),
+            "both",
+            {"size_m": 30.0, "around": SPOT, "pixel": (9, 9)},
+            {"pixel": None},
+        ),
+        (partial(import_sicd, [sicd], **out), "are asked for", {"size_m": 900.0}, {"size_m": 30.0}),
+        (partial(import_sicd, [sicd], **out), "is one file", {"size_m": 30.0, "stack": True}, {"stack": False}),
+        (
+            partial(import_stack, passes, wavelength_m=0.03, spacing_m=(0.5, 0.4), **out),
+            "lacks a column of views",
+            {"columns": None},
+            {"columns": {"view": "shot"}},
+        ),
+    ):
+        follow(words, do, options, remedy)
+    unmatched = [pattern.pattern for pattern in _templates() if not any(pattern.search(text) for text in said)]
+    assert len(unmatched) <= NOT_RUN, f"{len(unmatched)} of {len([*_templates()])}: {unmatched}"
