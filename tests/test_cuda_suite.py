@@ -17,8 +17,7 @@ from typing import Any
 
 import pytest
 import torch
-from emulated_cuda import Emulator
-from emulated_recorder import EmulatedRecorder
+from emulated_cuda import EmulatedRecorder, Emulator
 from torch.profiler import DeviceType
 
 from programs import ROOT

@@ -14,12 +14,11 @@ import pytest
 
 from made import dataset_of
 from programs import ROOT
-from sarsplat import ImageGrid, View, import_mstar, sweep
+from sarsplat import ImageGrid, View, import_mstar, preset, sweep
 from sarsplat.cli.app import parse
 from sarsplat.cli.arguments import views_from
 from sarsplat.evaluation import Yardstick, all_metrics
 from sarsplat.executors import EXECUTORS, Means
-from sarsplat.settings import preset
 from sarsplat.sweeps.cell import Cell
 from sarsplat.sweeps.plan import Plan
 from sarsplat.sweeps.results import Result

@@ -19,14 +19,11 @@ from PIL import Image
 
 from made import FEW_POINTS, upright
 from programs import elsewhere
-from sarsplat import scenes, write_gaussians_ply
+from sarsplat import Config, Trainer, read_gaussians_ply, read_points_ply, scenes, write_gaussians_ply
 from sarsplat.cli import main
-from sarsplat.data import read_gaussians_ply, read_points_ply
 from sarsplat.data.folders import only_writer
 from sarsplat.exports import FORMATS
-from sarsplat.learning import Trainer
 from sarsplat.runs import Run, own_gaussians
-from sarsplat.settings import Config
 from sarsplat.surface import first_returns, normals, visibility
 
 

@@ -13,11 +13,9 @@ import pytest
 from rich.console import Console
 
 from made import dataset_of
+from sarsplat import Dataset, ImageGrid, Place, Run, SarImage, Turn, View, read_dataset, write_dataset
 from sarsplat.cli import main
 from sarsplat.cli.info_dataset import PLAIN, PRETTY, sky_chart, symbols_for
-from sarsplat.data import Dataset, SarImage, read_dataset, write_dataset
-from sarsplat.geometry import ImageGrid, Place, Turn, View
-from sarsplat.runs import Run
 from sarsplat.runs.run_folder import names_of
 from sarsplat.sweeps import Plan
 

@@ -10,11 +10,9 @@ import pytest
 import tifffile
 from PIL import Image
 
+from sarsplat import Run, SarsplatError, SarsplatWarning, View
 from sarsplat.cli import main
-from sarsplat.errors import SarsplatError, SarsplatWarning
-from sarsplat.geometry import View
 from sarsplat.report.rendered import asked_grid, sweep_views
-from sarsplat.runs import Run
 
 
 @pytest.fixture(scope="module")

@@ -13,15 +13,12 @@ import pytest
 import trimesh
 
 from made import FEW_POINTS, terrain, write_geotiff
-from sarsplat import Run, preset, reconstruct
+from sarsplat import Run, SarsplatError, View, paper_views, preset, reconstruct
 from sarsplat.cli import main
 from sarsplat.cli.arguments import angles, views_from
 from sarsplat.cli.simulation_options import TestViews, Views
 from sarsplat.data import Dataset, read_dataset, read_masks
-from sarsplat.errors import SarsplatError
-from sarsplat.geometry import View
 from sarsplat.geometry.responses import GAUSSIAN, TAYLOR
-from sarsplat.scenes import paper_views
 
 PAPER_TEST = [(view, split) for view, split in paper_views() if split == "test"]
 

@@ -14,15 +14,12 @@ import numpy as np
 import pytest
 
 from made import dataset_of, lorry
-from sarsplat import ScatteringLaw, add_speckle, simulate_raycast
+from sarsplat import Dataset, ImageGrid, ScatteringLaw, View, add_speckle, examine, simulate_raycast, write_dataset
 from sarsplat.cli import main
-from sarsplat.data import Dataset, write_dataset
 from sarsplat.data.orientation import SIDES, Layout, oriented
-from sarsplat.examination.contradictions import examine
 from sarsplat.examination.orientation import edge_sides
 from sarsplat.examination.significance import Evidence
 from sarsplat.examination.units import clutter, contrast_of
-from sarsplat.geometry import ImageGrid, View
 from sarsplat.regions.outlines import Outline, levels_db, outline
 
 trimesh = pytest.importorskip("trimesh")

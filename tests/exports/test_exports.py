@@ -10,13 +10,9 @@ import torch
 import trimesh
 
 from made import FEW_POINTS
-from sarsplat import Dataset, Place, View
-from sarsplat.data import read_gaussians_ply
-from sarsplat.errors import SarsplatError
+from sarsplat import Dataset, Place, SarsplatError, View, load_mesh, preset, read_gaussians_ply
 from sarsplat.exports import FORMATS, export, format_of
 from sarsplat.runs import METHODS, Run, reconstruct
-from sarsplat.scenes import load_mesh
-from sarsplat.settings import preset
 
 
 @pytest.fixture(scope="module")

@@ -13,13 +13,11 @@ import numpy as np
 import pytest
 
 from made import FEW_POINTS, upright
-from sarsplat import Dataset, Place, Run, SarsplatError, View
+from sarsplat import Dataset, Place, Run, SarsplatError, View, preset, reconstruct
 from sarsplat.cli import main
 from sarsplat.data.geotiff import Raster, write_raster
 from sarsplat.data.terrain_file import read_heights
 from sarsplat.exports import export, export_terrain, format_of
-from sarsplat.runs import reconstruct
-from sarsplat.settings import preset
 from sarsplat.settings.sections import FlatGround
 
 rasterio = pytest.importorskip("rasterio")

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from made import upright
-from sarsplat import Place, Run, SarsplatError, SarsplatWarning, View, write_gaussians_ply
+from sarsplat import Place, Run, SarsplatError, SarsplatWarning, View, export, write_gaussians_ply
 from sarsplat.cli import main
-from sarsplat.exports import export
 from sarsplat.exports.format_geojson import rings_of
 from sarsplat.exports.georeference import MapSystem, usual_system, write_place
 

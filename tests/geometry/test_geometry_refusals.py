@@ -9,11 +9,8 @@ import numpy as np
 import pytest
 
 from refusals import Do, Refusals
-from sarsplat import ImageGrid, Place, RayGrid, Stack, Terrain, Turn, View
-from sarsplat.data import DatasetEntry
-from sarsplat.errors import SarsplatError
+from sarsplat import DatasetEntry, ImageGrid, Place, RayGrid, SarsplatError, ScatteringLaw, Stack, Terrain, Turn, View
 from sarsplat.samples.encoding import Encoding
-from sarsplat.scenes import ScatteringLaw
 
 TURN, PLACE = Turn((0, 0, 1), 5.0), Place(1.0, 2.0, 3.0)
 NONE: list[object] = [

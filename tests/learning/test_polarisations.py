@@ -10,23 +10,13 @@ import pytest
 import torch
 import trimesh
 
-from sarsplat import (
-    ImageGrid,
-    Mechanisms,
-    Run,
-    SarsplatError,
-    ScatteringLaw,
-    Stack,
-    View,
-    evaluate_run,
-    preset,
-    read_gaussians_ply,
-    reconstruct,
-    simulate_stack,
-    write_report,
-)
+from sarsplat import Stack, View, evaluate_run, preset, read_gaussians_ply, reconstruct, simulate_stack, write_report
 from sarsplat.data import Dataset, DatasetEntry, write_dataset
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import ImageGrid
 from sarsplat.regions.stack_region import stack_region
+from sarsplat.runs import Run
+from sarsplat.scenes import Mechanisms, ScatteringLaw
 from sarsplat.scenes.mechanisms import MATRICES, POLARISATIONS
 from sarsplat.settings.presets import PRESETS
 

@@ -13,19 +13,16 @@ from typing import Any
 
 import pytest
 import torch
-from emulated_cuda import Emulator
-from emulated_recorder import EmulatedRecorder
+from emulated_cuda import EmulatedRecorder, Emulator
 from torch import Tensor
 
 from made import box_dataset, hill
 from made_runs import assert_same
-from sarsplat import Dataset, ImageGrid, preset
-from sarsplat.errors import SarsplatWarning
+from sarsplat import Config, Dataset, ImageGrid, SarsplatWarning, preset
 from sarsplat.learning import Trainer, scene_frame
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.learning.strategies.growth import Relocating
 from sarsplat.renderer.engines import bounds, choice, cuda, cuda_device, on_device
-from sarsplat.settings import Config
 from sarsplat.settings.sections import Bounce, Densification, FlatGround, Relocation, Smoothing, Surroundings
 
 STEPS = 20

@@ -14,25 +14,15 @@ import pytest
 import torch
 import trimesh
 
-from sarsplat import (
-    Config,
-    ImageGrid,
-    Run,
-    SarsplatError,
-    ScatteringLaw,
-    Stack,
-    View,
-    evaluate_run,
-    reconstruct,
-    render_covariances,
-    simulate_stack,
-)
+from sarsplat import Run, ScatteringLaw, Stack, View, evaluate_run, reconstruct, render_covariances, simulate_stack
 from sarsplat.data import Dataset, DatasetEntry, read_dataset, write_dataset
+from sarsplat.errors import SarsplatError
 from sarsplat.examination.plausible import suspicions
+from sarsplat.geometry import ImageGrid
 from sarsplat.learning.model import SceneModel
 from sarsplat.learning.strategies import Strategy
 from sarsplat.regions.stack_region import stack_region
-from sarsplat.settings.presets import PRESETS, preset
+from sarsplat.settings import PRESETS, Config, preset
 from sarsplat.settings.sections import FlatGround, Surroundings
 
 GRID = ImageGrid(28, 20, (0.5, 0.5), (0.6, 0.6))

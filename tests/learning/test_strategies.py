@@ -14,8 +14,7 @@ from torch import Tensor
 
 from made import small_dataset, upright
 from made_runs import assert_same, trained
-from sarsplat import Dataset, Gaussians, ImageGrid, SarsplatError, preset, reconstruct
-from sarsplat.learning import Trainer
+from sarsplat import Dataset, Gaussians, ImageGrid, SarsplatError, Trainer, preset, reconstruct
 from sarsplat.learning.optimiser import Optimiser
 from sarsplat.learning.parts.part import Learned
 from sarsplat.learning.snapshot import Snapshot

@@ -17,16 +17,12 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
 from made_runs import trained
-from sarsplat import Dataset, ImageGrid, Run, View, preset, reconstruct
-from sarsplat.errors import SarsplatError
+from sarsplat import Config, Dataset, Ground, ImageGrid, Rendering, Run, SarsplatError, View, preset, reconstruct
 from sarsplat.gaussians import Gaussians
-from sarsplat.gaussians.ground import Ground
 from sarsplat.learning import Trainer, losses, model, optimiser
 from sarsplat.learning.parts.target import dropped, share_dropped
-from sarsplat.renderer import Rendering
 from sarsplat.renderer.engines import cuda
 from sarsplat.runs import Step
-from sarsplat.settings import Config
 from sarsplat.settings.sections import Densification, Relocation
 from sarsplat.surface import cells, extract_points, first_returns
 

@@ -14,9 +14,8 @@ from typing import Any
 
 import torch
 
-from sarsplat import preset, reconstruct
+from sarsplat import Config, preset, reconstruct
 from sarsplat.learning.optimiser import Optimiser
-from sarsplat.settings import Config
 from sarsplat.settings.sections import Densification
 
 DENSITY = Densification(

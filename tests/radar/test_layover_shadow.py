@@ -6,8 +6,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from sarsplat import View
-from sarsplat.errors import SarsplatError
+from sarsplat import SarsplatError, View
 from sarsplat.radar.layover_shadow import BOTH, FREE, LAYOVER, SHADOW, UNKNOWN, layover_shadow
 
 PITCH = 0.25

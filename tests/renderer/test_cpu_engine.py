@@ -9,9 +9,7 @@ import torch
 from compared import relative
 from named_scenes import MATRIX, Scene, cloud, with_scales
 
-from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import Gaussians
-from sarsplat.geometry import radar_frame
+from sarsplat import Gaussians, SarsplatError, radar_frame
 from sarsplat.renderer import reference, render
 from sarsplat.renderer.engines import cpu
 from sarsplat.renderer.reference import render_reference

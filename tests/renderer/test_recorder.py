@@ -9,8 +9,7 @@ from types import SimpleNamespace
 
 import pytest
 import torch
-from emulated_cuda import Emulator
-from emulated_recorder import EmulatedRecorder
+from emulated_cuda import EmulatedRecorder, Emulator
 
 from sarsplat.renderer.engines import on_device, recorder
 from sarsplat.renderer.engines.on_device import NotRecordable, kept_on_device

@@ -14,9 +14,7 @@ from named_scenes import GRID, MATRIX, VIEWS, Scene, cloud
 from test_cpu_engine import AVAILABLE, check, everything, judged, outputs_of, traced
 from torch import Tensor
 
-from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import Harmonics, NormalLobes
-from sarsplat.geometry import ImageGrid, RayGrid
+from sarsplat import Harmonics, ImageGrid, NormalLobes, RayGrid, SarsplatError
 from sarsplat.renderer import Footprints, Projection, Waves, attenuate, project, render, splat
 from sarsplat.renderer.engines import cpu, cuda
 from sarsplat.renderer.engines.passes import NewPass

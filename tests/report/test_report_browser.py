@@ -11,8 +11,7 @@ import pytest
 
 from chromium import Page, chromium
 from made_runs import make_dataset, make_metrics, make_run
-from sarsplat.geometry import View
-from sarsplat.report import write_report
+from sarsplat import View, write_report
 
 SMALL_TEXT = """
 (() => {

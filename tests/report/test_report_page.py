@@ -12,10 +12,8 @@ import trimesh
 
 from made import dataset_of
 from made_runs import METRICS, POINT_KEYS, make_dataset, make_metrics, make_run
-from sarsplat.data import write_dataset
-from sarsplat.errors import SarsplatError
+from sarsplat import ImageGrid, SarsplatError, View, write_dataset
 from sarsplat.evaluation import Alignment, Scores
-from sarsplat.geometry import ImageGrid, View
 from sarsplat.report import write, write_report
 from sarsplat.report.page import score_tables
 from sarsplat.report.widget import widget

@@ -11,21 +11,11 @@ import pytest
 import torch
 
 from made import upright
-from sarsplat import (
-    Config,
-    Dataset,
-    Harmonics,
-    Place,
-    Run,
-    SarsplatError,
-    SarsplatWarning,
-    View,
-    evaluate_run,
-    reconstruct,
-)
+from sarsplat import Dataset, Harmonics, Place, Run, SarsplatError, SarsplatWarning, View, evaluate_run, reconstruct
 from sarsplat.exports import export
 from sarsplat.report import write_report
 from sarsplat.runs.own_gaussians import usual_grid, without_strays
+from sarsplat.settings import Config
 
 VIEWS = [View(10.0, 30.0), View(200.0, 50.0)]
 PLACES = torch.rand(60, 3, generator=torch.Generator().manual_seed(0))

@@ -13,16 +13,13 @@ import numpy as np
 import pytest
 import torch
 
-from sarsplat import Dataset, Run, SarsplatError, View, preset, reconstruct
-from sarsplat.errors import SarsplatWarning
-from sarsplat.learning import Trainer
+from sarsplat import Config, Dataset, Run, SarsplatError, SarsplatWarning, Trainer, View, preset, reconstruct
 from sarsplat.learning.model import SceneModel
 from sarsplat.learning.parts.measured import gains
 from sarsplat.learning.scene_frame import SceneFrame
 from sarsplat.regions.target_box import target_box
 from sarsplat.runs import Step, training_loop
 from sarsplat.runs.training_loop import ThreadChoice
-from sarsplat.settings import Config
 from sarsplat.settings.sections import FlatGround, Surroundings
 from sarsplat.surface import extract_points
 

@@ -13,12 +13,9 @@ import numpy as np
 import pytest
 
 from made import FEW_POINTS, dataset_of
+from sarsplat import Config, Dataset, ImageGrid, SarsplatError, View, preset, write_dataset
 from sarsplat.cli import main
-from sarsplat.data import Dataset, write_dataset
-from sarsplat.errors import SarsplatError
-from sarsplat.geometry import ImageGrid, View
 from sarsplat.runs import METHODS, Step, TensorBoard, reconstruct
-from sarsplat.settings import Config, preset
 
 pytest.importorskip("tensorboard")
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator

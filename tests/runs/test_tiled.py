@@ -15,11 +15,10 @@ import pytest
 import torch
 
 from made import FEW_POINTS, dataset_of, upright
-from sarsplat import Config, Dataset, Gaussians, ImageGrid, Run, SarsplatError, View, preset, reconstruct
+from sarsplat import Config, Dataset, Gaussians, ImageGrid, RayGrid, Run, SarsplatError, View, preset, reconstruct
 from sarsplat.data import read_dataset, write_dataset
 from sarsplat.executors import EXECUTORS, Means, executor_ray
 from sarsplat.gaussians.ground import Ground
-from sarsplat.geometry import RayGrid
 from sarsplat.learning.image_windows import Windows
 from sarsplat.learning.observations.single_images import Tile, tiles_of
 from sarsplat.renderer import render

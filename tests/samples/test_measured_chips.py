@@ -13,15 +13,11 @@ from PIL import Image
 
 from chip_files import write_chips
 from made import dataset_of
-from sarsplat import ImageGrid, View, write_dataset
+from sarsplat import ImageGrid, SarsplatError, SarsplatWarning, View, import_folder, import_mstar, write_dataset
 from sarsplat.cli import main
-from sarsplat.data import read_dataset
-from sarsplat.data.sidecar import read_masks
-from sarsplat.errors import SarsplatError, SarsplatWarning
-from sarsplat.importers import import_folder, import_mstar
+from sarsplat.data import read_dataset, read_masks
 from sarsplat.names import ChipScale, Side
-from sarsplat.samples import write_measured_chips
-from sarsplat.samples.encoding import Encoding
+from sarsplat.samples import Encoding, write_measured_chips
 
 pytestmark = pytest.mark.filterwarnings("ignore::sarsplat.errors.SarsplatWarning")
 

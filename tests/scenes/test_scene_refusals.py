@@ -10,22 +10,12 @@ import pytest
 
 from made import slope
 from refusals import Do, Refusals, check_refused, stored
-from sarsplat.geometry import ImageGrid, Stack, View
+from sarsplat import ImageGrid, Mechanisms, ScatteringLaw, Stack, View, simulate_images
 from sarsplat.geometry.responses import TAYLOR
-from sarsplat.scenes import (
-    Mechanisms,
-    ScatteringLaw,
-    add_speckle,
-    load_mesh,
-    simulate_raycast,
-    simulate_stack,
-    surface_gaussians,
-    target_mesh,
-)
+from sarsplat.scenes import add_speckle, load_mesh, simulate_raycast, simulate_stack, surface_gaussians, target_mesh
 from sarsplat.scenes.meshes import scaled
 from sarsplat.scenes.raycast import raycast_mask
 from sarsplat.scenes.scattering import part_reflectivity
-from sarsplat.scenes.simulate import simulate_images
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("embreex")

@@ -8,9 +8,8 @@ from typing import Any
 
 import pytest
 
-from sarsplat import Config, SarsplatError
+from sarsplat import PRESETS, Config, SarsplatError, preset
 from sarsplat.gaussians import SCATTERINGS
-from sarsplat.settings.presets import PRESETS, preset
 from sarsplat.settings.sections import Densification, Passes, PointExtraction, Rates, Surroundings
 
 

@@ -9,11 +9,8 @@ import pytest
 import torch
 
 from made import upright
-from sarsplat import Gaussians, ImageGrid, View, memory
-from sarsplat.errors import SarsplatError
-from sarsplat.geometry import RayGrid
+from sarsplat import Gaussians, ImageGrid, RayGrid, RayMap, SarsplatError, View, memory
 from sarsplat.progress import Reporter
-from sarsplat.renderer import RayMap
 from sarsplat.settings.sections import PointExtraction
 from sarsplat.surface import bricks as of_bricks
 from sarsplat.surface import cells as of_cells

@@ -17,7 +17,7 @@ from sarsplat import Gaussians, ImageGrid, Terrain, View, extract_points
 from sarsplat.learning.strategies.growth import holding
 from sarsplat.learning.strategies.ops import whole_sums
 from sarsplat.scenes import surface_gaussians, target_mesh
-from sarsplat.scenes.village import village as made_village
+from sarsplat.scenes import village as made_village
 from sarsplat.settings.sections import PointExtraction
 from sarsplat.surface import cells, first_returns, neighbours, normals, points
 from sarsplat.surface.mesh import surface_mesh

@@ -23,11 +23,9 @@ import msgspec
 import pytest
 import torch
 
-from sarsplat import SarsplatError, sweep
-from sarsplat.errors import SarsplatWarning
+from sarsplat import SarsplatError, SarsplatWarning, Trainer, sweep
 from sarsplat.executors import Means, executor_local, executor_ray
 from sarsplat.executors.executor_local import Answers, Worker, serve
-from sarsplat.learning import Trainer
 from sarsplat.renderer.engines import choice, cuda, on_device
 from sarsplat.sweeps.cell import Cell, cells_of
 from sarsplat.sweeps.plan import Plan
@@ -132,8 +130,7 @@ def test_a_worker_ends_with_its_parent(place, endless):
 
 
 def test_runs_in_threads_on_an_emulated_gpu_have_the_same_bits(place, plan, cells, results, library, monkeypatch):
-    from emulated_cuda import Emulator
-    from emulated_recorder import EmulatedRecorder
+    from emulated_cuda import EmulatedRecorder, Emulator
 
     launcher, recorded = Emulator(library), []
     engine = choice.Engine(
