@@ -111,13 +111,6 @@ def test_an_experiment_is_a_plan(made, tmp_path):
     assert len(made.plans.missing(table, tmp_path)) == 4
 
 
-def test_settings_are_shortened(made):
-    changed = row(made, "one", preset="paper", changes={"densification.stop": 12_000})
-    config = preset("paper").with_settings(changed.changes | made.plans.shortened(changed))
-    assert config.iterations == 60
-    assert config.densification.stop / config.iterations == pytest.approx(12_000 / 30_000, rel=0.1)
-
-
 def test_a_row_is_the_mean_over_targets_and_spreads_over_seeds(made, tmp_path):
     table = experiment(made, row(made, "both", ("t72", "kraz")), seeds=(0, 1, 2))
     (both,) = table.rows

@@ -329,8 +329,6 @@ def test_trainings_refuse(arguments, message, small_box):
     [
         (["--method", "dsr", "--gaussians", "100"], "--gaussians is not a setting of dsr; change those"),
         (["--method", "sar-nerf", "--rates.means", "0.1"], "--rates.means is not a setting of sar-nerf; "),
-        (["--masks", "masks"], "sar-gs uses no masks; omit 'masks'"),
-        (["--method", "magic"], "magic"),
         (["--method", "dsr", "--masks", "nowhere"], "nowhere has no mask of 12 of 12 training images"),
         (["--method", "dsr", "--view"], "--view cannot show a training by dsr; omit it"),
     ],

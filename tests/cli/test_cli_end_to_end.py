@@ -104,14 +104,6 @@ def test_gaussians_in_a_file_are_scored_against_a_mesh_alone(tmp_path: Path, qui
     assert sorted(path.name for path in tmp_path.iterdir()) == ["own.ply"]
 
 
-def test_mesh_and_masks_in_one_command(run: Path, said) -> None:
-    said(f"evaluate {run} --mesh box.obj --masks dataset/masks")
-    metrics = json.loads((run / "metrics.json").read_text())
-    assert metrics["truth"]["mesh"].endswith("box.obj")
-    assert metrics["points"]["visible"]["cd_m"] > 0
-    assert 0 <= metrics["images"]["test"]["target_iou"] <= 1
-
-
 def test_ctrl_c_says_how_to_continue(tmp_path: Path, monkeypatch, capsys, said) -> None:
     step, calls = Trainer.step, []
 

@@ -26,7 +26,7 @@ from sarsplat.scenes import TARGETS
 from sarsplat.settings.sections import Densification, FlatGround, Surroundings
 
 
-def test_the_overview_says_of_every_command_what_its_own_help_says_first(
+def test_the_overview_has_the_help_of_every_command(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "200")
@@ -61,9 +61,7 @@ def test_help_without_a_command_names_the_version_option_too(capsys: pytest.Capt
     assert capsys.readouterr().out.startswith("sarsplat ")
 
 
-def test_the_package_is_a_program_that_is_called_by_the_same_python(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_package_is_a_program_of_the_same_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     command = [sys.executable, "-m", "sarsplat", "import", "mstar"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
@@ -196,9 +194,7 @@ def begun(commands: Iterable[str], folder: Path, slow: Callable[[str, float], bo
 
 
 @pytest.mark.parametrize(("limits", "imported"), [({"--help": 2}, []), (HELP, ["tyro"])], ids=["all", "one"])
-def test_help_is_fast_and_imports_nothing_heavy(
-    limits: dict[str, int], imported: list[str], numpy_s: float, tmp_path: Path
-) -> None:
+def test_help_is_fast_and_light(limits: dict[str, int], imported: list[str], numpy_s: float, tmp_path: Path) -> None:
     def slow(words: str, took_s: float) -> bool:
         return took_s >= limits[words] * numpy_s
 

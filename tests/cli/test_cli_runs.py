@@ -72,8 +72,6 @@ def test_azimuths_and_shards(runs: str, said: Command, tmp_path: Path) -> None:
         ("--crop 64", "crop is 64, but the images of the runs have 32 × 36 pixels"),
         ("--scale calibrated", "choose npy"),
         ("--ground nowhere.png", "nowhere.png"),
-        ("--count 0", "count is 0"),
-        ("--shard 0", "shard is 0"),
         ("--seed -1", "seed -1 must be at least 0"),
     ],
 )
@@ -276,8 +274,3 @@ def test_the_extra_is_named_if_it_is_missing(folder, refused, monkeypatch):
     monkeypatch.setitem(sys.modules, "viser", None)
     told = "error: this needs viser, which is not installed; install it with: pip install 'sarsplat[view]'\n"
     assert refused(f"view {folder}") == told
-
-
-def test_other_methods_cannot_be_watched(folder, refused):
-    words = f"reconstruct {folder} --out {folder}/run --method dsr --view"
-    assert "--view cannot show a training by dsr; omit it" in refused(words)

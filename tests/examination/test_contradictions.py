@@ -120,9 +120,7 @@ def test_every_orientation_is_recovered(bare: Dataset, grounded: Dataset, seen: 
                 assert f"or with {right.twin} if the table" in said
 
 
-def test_an_import_names_the_options_that_mend_it(
-    grounded: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_import_names_the_remedy(grounded: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Of a radar that looks to the left."""
     dataset = speckled(grounded, 1, 0)
     table = ["file,azimuth,grazing,look"]

@@ -114,7 +114,7 @@ def test_heights_above_the_sea_are_not_said_to_be_ellipsoidal(anywhere: Run, tmp
         ("a.las", Place(40.0, 10.0, 5.0), {"crs": "EPSG:26718"}, r"nothing that is installed .* 40\.0000°, 10\.0000°"),
     ],
 )
-def test_what_cannot_be_placed_is_refused(
+def test_places_refused(
     anywhere: Run, tmp_path: Path, name: str, place: Place | None, given: dict[str, Any], why: str
 ) -> None:
     pytest.importorskip("pyproj")

@@ -84,7 +84,7 @@ def test_what_is_said_once_of_the_cpu_engine_is_said(monkeypatch: pytest.MonkeyP
     cpu.library()  # with torch's threads again
 
 
-def test_a_reconstruction_says_so_and_goes_on_where_it_began(
+def test_a_reconstruction_says_so(
     dataset: Dataset, config, tmp_path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     named, asked = reconstruction.device_named, []

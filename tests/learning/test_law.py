@@ -91,7 +91,7 @@ def test_laws_of_ones_own_share_what_they_say(dataset: Dataset, config: Config, 
     assert torch.equal(Run.load(tmp_path / "run").gaussians.scattering.parameters, parameters)
 
 
-def test_a_law_that_leaves_nothing_to_each_gaussian_is_refused(
+def test_a_law_with_nothing_for_each_gaussian(
     dataset: Dataset, config: Config, tuned: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Tuned, "common", ((0.0, 1.0),) * 3)

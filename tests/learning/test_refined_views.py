@@ -77,13 +77,16 @@ def test_wrong_azimuths_are_put_right(wrong: tuple[Dataset, np.ndarray], refined
     assert refined.about["azimuth corrections"] == f"rms {rms(offset):.2f}°, largest {abs(offset).max():.2f}°"
 
 
-def test_a_resumed_training_is_the_same(wrong: tuple[Dataset, np.ndarray], refined: Run, tmp_path: Path) -> None:
+@pytest.mark.parametrize("what", ["azimuths", "rotations"])
+def test_a_resumed_training_is_the_same(what: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
     """Stopped between two rounds."""
-    reconstruct(wrong[0], CONFIG, tmp_path / "run", on_step=lambda step: step.iteration == 25, quiet=True)
-    assert Run.load(tmp_path / "run").azimuth_offset_deg.any()
-    resumed = reconstruct(wrong[0], CONFIG, tmp_path / "run", quiet=True, resume=True)
-    assert_same(resumed.snapshot, refined.snapshot)
-    assert resumed.snapshot.views == refined.snapshot.views
+    whole = request.getfixturevalue("refined" if what == "azimuths" else "righted")
+    stop, out = whole.config.checkpoint_every - 1, tmp_path / "run"
+    reconstruct(whole.dataset, whole.config, out, on_step=lambda step: step.iteration == stop, quiet=True)
+    assert what == "rotations" or Run.load(out).azimuth_offset_deg.any()
+    resumed = reconstruct(whole.dataset, whole.config, out, quiet=True, resume=True)
+    assert_same(resumed.snapshot, whole.snapshot)
+    assert resumed.snapshot.views == whole.snapshot.views
 
 
 def test_azimuths_known_exactly_are_left_alone(images: np.ndarray) -> None:
@@ -146,7 +149,7 @@ def test_the_lowest_place_of_a_parabola(best: float, actual: float) -> None:
         ("model/log_gain", torch.full((18,), torch.inf)),
     ],
 )
-def test_checkpoints_that_would_render_nonsense_are_refused(
+def test_damaged_checkpoints(
     refined: Run, wrong: tuple[Dataset, np.ndarray], tmp_path: Path, name: str, value: torch.Tensor | None
 ) -> None:
     run = replace(refined, path=shutil.copytree(refined.folder, tmp_path / "run"))
@@ -159,16 +162,6 @@ def test_checkpoints_that_would_render_nonsense_are_refused(
         run.render([View(10.0, 35.0)])
     with pytest.raises(SarsplatError, match="does not match this version"):
         reconstruct(wrong[0], replace(CONFIG, iterations=100), run.path, resume=True, quiet=True)
-
-
-def test_offsets_of_another_training_are_refused(refined: Run) -> None:
-    snapshot = refined.snapshot
-    for bad in (torch.zeros(3), torch.full((len(AROUND),), torch.nan)):
-        damaged = replace(snapshot, tensors=snapshot.tensors | {AZIMUTH_OFFSETS: bad.double()})
-        run = replace(refined)
-        run.__dict__["snapshot"] = damaged
-        with pytest.raises(SarsplatError, match="does not hold one azimuth offset for each training view"):
-            _ = run.azimuth_offset_deg
 
 
 # ---- axes and rates of rotation --------------------------------------------------------------------------------------
@@ -243,17 +236,6 @@ def test_wrong_axes_and_rates_are_put_right(frames: tuple[np.ndarray, list[View]
     assert corrections[:, 2] == pytest.approx(FASTER, abs=0.01)
     assert "rate by +" in righted.about["corrected rotations"]
     assert found == corrected_views(righted.dataset.entries, uncertain_passes(righted.dataset), corrections)
-
-
-def test_a_resumed_training_of_rotations_is_the_same(
-    frames: tuple[np.ndarray, list[View], list[Turn]], righted: Run, tmp_path: Path
-) -> None:
-    """Stopped between two rounds."""
-    dataset = spinning(frames[0], frames[2])
-    reconstruct(dataset, SPINNING, tmp_path / "run", on_step=lambda step: step.iteration == 60, quiet=True)
-    resumed = reconstruct(dataset, SPINNING, tmp_path / "run", quiet=True, resume=True)
-    assert_same(resumed.snapshot, righted.snapshot)
-    assert resumed.snapshot.views == righted.snapshot.views
 
 
 def test_rotations_known_exactly_change_nothing(frames: tuple[np.ndarray, list[View], list[Turn]]) -> None:
@@ -335,10 +317,15 @@ def test_what_would_be_most_unlikely_is_not_believed() -> None:
     assert found[0, 0] == 1.5 and abs(found[0, 2]) <= 0.03
 
 
-@pytest.mark.parametrize("damaged", [torch.zeros(3, 3), torch.zeros(2), torch.full((2, 3), torch.nan)])
-def test_corrections_of_another_training_are_refused(righted: Run, damaged: torch.Tensor) -> None:
-    run = replace(righted)
-    tensors = righted.snapshot.tensors | {TURN_CORRECTIONS: damaged.double()}
-    run.__dict__["snapshot"] = replace(righted.snapshot, tensors=tensors)
-    with pytest.raises(SarsplatError, match=r"corrections of rotations|uncertain pass"):
-        run.views_of(righted.dataset)
+def test_offsets_and_corrections_of_another_training_are_refused(refined: Run, righted: Run) -> None:
+    def damaged(run: Run, name: str, value: torch.Tensor) -> Run:
+        other = replace(run)
+        other.__dict__["snapshot"] = replace(run.snapshot, tensors=run.snapshot.tensors | {name: value.double()})
+        return other
+
+    for bad in (torch.zeros(3), torch.full((len(AROUND),), torch.nan)):
+        with pytest.raises(SarsplatError, match="does not hold one azimuth offset for each training view"):
+            _ = damaged(refined, AZIMUTH_OFFSETS, bad).azimuth_offset_deg
+    for bad in (torch.zeros(3, 3), torch.zeros(2), torch.full((2, 3), torch.nan)):
+        with pytest.raises(SarsplatError, match=r"corrections of rotations|uncertain pass"):
+            damaged(righted, TURN_CORRECTIONS, bad).views_of(righted.dataset)

@@ -119,7 +119,7 @@ def test_rounds_move_what_is_lit_and_make_it_thinner(dataset: Dataset, monkeypat
 
 
 @pytest.mark.parametrize("count", [1, 3])
-def test_planes_are_the_same_however_many_are_fitted_at_once(
+def test_batches_of_planes_change_nothing(
     count: int, threads: Callable[[int], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     chance = np.random.default_rng(0)

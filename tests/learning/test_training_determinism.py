@@ -69,9 +69,7 @@ def test_threads_change_nothing(dataset: Dataset, kind: str, threads: Any) -> No
 
 
 @pytest.mark.parametrize("changes", [{}, {"scattering": "harmonics", "harmonics_degree": 0}])
-def test_threads_do_not_change_what_many_gaussians_cost(
-    dataset: Dataset, changes: dict[str, Any], threads: Any
-) -> None:
+def test_threads_do_not_change_the_cost_of_many(dataset: Dataset, changes: dict[str, Any], threads: Any) -> None:
     """More of them than torch sums on one thread, 2^15 numbers."""
     generator, actual = torch.Generator().manual_seed(0), []
     model = SceneModel.initial(replace(preset("default"), gaussians=40_000, **changes), dataset, generator)

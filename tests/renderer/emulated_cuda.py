@@ -11,6 +11,7 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -24,7 +25,7 @@ from torch.utils._pytree import tree_leaves
 from sarsplat import Gaussians, Ground, ImageGrid, RayGrid, View
 from sarsplat.renderer import Bounds, Rendering
 from sarsplat.renderer.echoes import Echo, GroundEcho
-from sarsplat.renderer.engines import cuda, nvrtc, on_device
+from sarsplat.renderer.engines import choice, cuda, nvrtc, on_device
 from sarsplat.renderer.engines.cuda_device import Launcher
 from sarsplat.renderer.operations import render_with
 
@@ -127,6 +128,26 @@ def guarded() -> Iterator[None]:
     assert len(arrays) > 20
     for whole in arrays:
         assert bool((whole[:margin] == 255).all() and (whole[-margin:] == 255).all())
+
+
+@contextmanager
+def on_emulated_gpu(
+    launcher: Emulator, recorder: Callable[[torch.device], EmulatedRecorder] | None = None
+) -> Iterator[None]:
+    """Meanwhile tensors on the CPU are on this GPU, which has a queue and recorders for each thread, or this one."""
+    engine = choice.Engine(
+        "cpu",
+        lambda *_: partial(cuda.Pass, launcher),
+        takes_bounds=True,
+        recorder=recorder or (lambda _: EmulatedRecorder(launcher)),
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(choice.ENGINES, "cuda", engine)
+        patch.setitem(choice.ENGINES, "cpu", replace(choice.ENGINES["cpu"], device_type="none"))  # so "auto" is not
+        patch.setattr(on_device, "queue_of", lambda device: threading.get_ident())
+        choice._fitting.cache_clear()
+        yield
+    choice._fitting.cache_clear()
 
 
 def render_on(

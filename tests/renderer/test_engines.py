@@ -215,17 +215,11 @@ def test_without_the_library_the_reference_still_renders(reload, tmp_path, capsy
     assert "the CPU engine cannot be loaded" in " ".join(capsys.readouterr().out.split())
 
 
-def test_a_library_of_other_sources(reload, tmp_path):
-    other = tmp_path / "api.h"
-    other.write_bytes(cpu.HEADER.read_bytes() + b"\n")
-    reload.setattr(cpu, "HEADER", other)
+@pytest.mark.parametrize("name", ["HEADER", "LIBRARY"])
+def test_a_library_of_other_sources_or_without_a_digest(reload, tmp_path, name):
+    (other := tmp_path / "api.h").write_bytes(cpu.HEADER.read_bytes() + b"\n")
+    reload.setattr(cpu, name, other if name == "HEADER" else cpu.torch.__file__.replace("__init__.py", "lib/libc10.so"))
     with pytest.raises(SarsplatError, match=r"other structures or functions than this version .* reinstall with `pip"):
-        render(GAUSSIANS, AROUND, WIDE, engine="cpu")
-
-
-def test_a_library_of_a_time_before_there_was_a_digest(reload):
-    reload.setattr(cpu, "LIBRARY", cpu.torch.__file__.replace("__init__.py", "lib/libc10.so"))
-    with pytest.raises(SarsplatError, match="other structures or functions than this version"):
         render(GAUSSIANS, AROUND, WIDE, engine="cpu")
 
 

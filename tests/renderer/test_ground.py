@@ -16,7 +16,6 @@ from sarsplat.renderer.echoes import lit_terrain
 from sarsplat.renderer.echoes.echo import RayEnds
 from sarsplat.renderer.echoes.ground import free_plane
 from sarsplat.renderer.echoes.lit_ground import lit_ground
-from sarsplat.renderer.engines import cpu
 from sarsplat.renderer.engines.choice import passes_for
 
 WIDE = ImageGrid(48, 40, (0.3, 0.25), (0.45, 0.4))
@@ -116,7 +115,7 @@ def test_what_the_ground_loses_is_what_rays_lose():
     (left,) = rendering.ray_maps
     assert missing == pytest.approx(0.25 * rays.cell_area * float((1 - left.transmittance.double()).sum()), rel=1e-3)
     alone = render(scene, [view], WIDE, rays=rays)
-    assert torch.equal(rendering.cross_sections, alone.cross_sections)  # nothing else changes
+    assert alone.ground is None and torch.equal(rendering.cross_sections, alone.cross_sections)
     expected = alone.images[:, 0] + rendering.ground
     torch.testing.assert_close(rendering.images[:, 0], expected)
 
@@ -149,10 +148,6 @@ def test_what_is_below_the_ground_is_not_seen_and_throws_no_shadow():
     assert not both.lit_area[:, 20:].any()
 
 
-def test_without_ground_nothing_is_said_of_it():
-    assert render(cloud(5, 0), VIEWS, GRID).ground is None
-
-
 def test_the_ground_reaches_past_the_farthest_corner_of_the_images():
     grid = ImageGrid(40, 30, (0.3, 0.2), (0.5, 0.4), (2.0, -1.5))
     for view in (View(0, 30), View(75, 60)):
@@ -164,14 +159,6 @@ def test_the_ground_reaches_past_the_farthest_corner_of_the_images():
         corners = to_ground @ np.stack(np.meshgrid(*edges)).reshape(2, -1)
         assert ground_radius_m([view], grid) == pytest.approx(np.linalg.norm(corners, axis=0).max() + 2 * 0.5)
         assert ground_radius_m([view, View(10, 80)], grid) == pytest.approx(ground_radius_m([View(10, 80)], grid))
-
-
-@pytest.mark.parametrize("height_m", [0.0, slope(5.0)], ids=["level", "slope"])
-def test_the_reference_is_judge_of_the_engines_and_calls_none(height_m, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cpu, "Pass", None)
-    ground = Ground(torch.tensor(0.1), height_m=height_m)
-    images = render(cloud(20, 0).to(torch.float32), VIEWS, GRID, ground=ground, engine="reference").images
-    assert images.dtype == torch.float32 and images.min() > 0
 
 
 # ---- terrain ---------------------------------------------------------------------------------------------------------

@@ -119,9 +119,7 @@ def test_a_law_derived_from_it_keeps_its_own_amplitudes(amplitudes_towards: Towa
 
 
 @pytest.mark.parametrize("count", [50, 5000])
-def test_rows_and_cotangents_that_are_not_contiguous_are_read_as_they_are(
-    count: int, amplitudes_towards: Towards
-) -> None:
+def test_rows_and_cotangents_that_are_not_contiguous(count: int, amplitudes_towards: Towards) -> None:
     """Copied for the engine, and kept until the engine has read them."""
     scene = gaussians(count)
     strided = replace(scene, quaternions=scene.quaternions.detach().T.contiguous().T)

@@ -17,16 +17,14 @@ from emulated_cuda import Emulator
 from named_scenes import CLOUDS, GRID, UNUSUAL, cloud
 from torch import Tensor
 
-from made import slope
-from sarsplat import Gaussians, Ground, SarsplatError, ScatteringLaw, simulate_images, simulate_raycast
+from sarsplat import Gaussians, Ground, ScatteringLaw, simulate_images, simulate_raycast
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.radar.iso_range import Pixel, contributions, iso_range_line
-from sarsplat.renderer import Rendering, project, render
+from sarsplat.renderer import Rendering, render
 from sarsplat.renderer.echoes import GroundEcho
 from sarsplat.renderer.engines import cuda
 from sarsplat.renderer.operations import Steps
 from sarsplat.renderer.stretched import render_stretched
-from sarsplat.tiles import render_tiled
 
 PLAIN = (View(25.0, -40.0, 10.0, aloft=True), View(200.0, 60.0, -70.0, "left", aloft=True))
 STRETCHES = (1.07, 0.8)
@@ -112,20 +110,6 @@ def test_plane_gradients_are_those_of_centres() -> None:
     assert relative(means.grad, (of_rays @ rays + of_pixels @ pixels).sum(0)) <= 1e-5
 
 
-def test_what_needs_plain_images_refuses_them() -> None:
-    scene = cloud(5, 0)
-    for refused in (
-        lambda: project(scene, VIEWS, GRID),
-        lambda: render_tiled(scene, VIEWS[0], GRID),
-        lambda: render(scene, VIEWS, GRID, first_return_depth=0.5),
-    ):
-        with pytest.raises(SarsplatError, match="stretched"):
-            refused()
-    trimesh = pytest.importorskip("trimesh")
-    with pytest.raises(SarsplatError, match="a view is stretched"):
-        simulate_raycast(trimesh.creation.box((1, 1, 1)), VIEWS[0], GRID, ScatteringLaw())
-
-
 def test_a_pixel_lies_on_the_line_that_is_imaged_there() -> None:
     ends = iso_range_line(VIEWS[0], GRID, Pixel(7, 4), np.full(3, -5.0), np.full(3, 5.0))
     assert ends is not None
@@ -178,12 +162,6 @@ def test_ground_of_level_views_is_the_same_beside_tilted_ones(dtype):
         alone = render(scene, [view], GRID, ground=ground).ground
         assert alone is not None
         torch.testing.assert_close(image, alone[0], rtol=1e-5, atol=1e-6)
-
-
-def test_terrain_is_refused_under_a_tilt():
-    terrain = GroundEcho(Ground(torch.tensor(0.2), height_m=slope(5.0)))
-    with pytest.raises(SarsplatError, match="tilted by 25°, under which only level ground can be rendered"):
-        render(cloud(5, 0), UNUSUAL[:1], GRID, echoes=[terrain])
 
 
 @pytest.mark.parametrize("view", UNUSUAL, ids=str)

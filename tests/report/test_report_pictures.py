@@ -202,9 +202,7 @@ def test_a_contact_sheet_is_as_bright_as_the_single_pictures_and_capped(monkeypa
 
 
 @pytest.mark.parametrize("size", [1, 3])
-def test_of_points_that_cover_a_pixel_the_nearest_is_seen_and_of_equally_near_ones_the_last(
-    monkeypatch: pytest.MonkeyPatch, size: int
-) -> None:
+def test_the_nearest_point_of_a_pixel_is_seen_the_last_of_equals(monkeypatch: pytest.MonkeyPatch, size: int) -> None:
     monkeypatch.setattr("sarsplat.report.boards._BATCH", 64)
     points = np.random.default_rng(0).integers(-1, 11, (500, 3)).astype(float)  # on a lattice, some of them outside
     raster = Raster(np.zeros(3), np.full(3, 10.0), 1.0)

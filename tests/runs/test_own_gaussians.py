@@ -47,7 +47,7 @@ def test_a_run_in_memory_is_saved_with_its_scores_and_resumed(dataset: Dataset, 
     assert Run.load(held.save(tmp_path / "run", overwrite=True).folder).iteration == 3
 
 
-def test_points_that_are_there_are_saved_and_not_extracted_again(
+def test_points_are_not_extracted_again(
     finished: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     held = Run.from_gaussians(finished.gaussians, views=VIEWS)
@@ -68,9 +68,7 @@ def test_points_that_are_there_are_saved_and_not_extracted_again(
     assert capsys.readouterr().out == ""
 
 
-def test_gaussians_of_ones_own_are_scored_exported_and_shown_in_a_report(
-    dataset: Dataset, finished: Run, tmp_path: Path
-) -> None:
+def test_own_gaussians_are_scored_exported_and_reported(dataset: Dataset, finished: Run, tmp_path: Path) -> None:
     run = Run.from_gaussians(finished.gaussians, dataset=dataset, time_s=7.0)
     assert (run.grid, run.snapshot.views) == (dataset.grid, dataset.select("train").views)
     np.testing.assert_array_equal(run.render(VIEWS), finished.render(VIEWS))
@@ -147,9 +145,7 @@ def test_an_outlier_does_not_set_the_grid_and_is_said() -> None:
     assert without_strays(whole)[1] == ""
 
 
-def test_a_run_keeps_where_on_earth_its_scene_is(
-    dataset: Dataset, config: Config, finished: Run, tmp_path: Path
-) -> None:
+def test_a_run_keeps_the_place_of_its_scene(dataset: Dataset, config: Config, finished: Run, tmp_path: Path) -> None:
     short = replace(config, iterations=6, gaussians=80)
     place = Place(-33.0, 151.0, 40.0, 20.0)
     made = reconstruct(replace(dataset, place=place), short, tmp_path / "run", quiet=True)

@@ -21,7 +21,6 @@ from sarsplat.regions.target_box import target_box
 from sarsplat.runs import Step, training_loop
 from sarsplat.runs.training_loop import ThreadChoice
 from sarsplat.settings.sections import FlatGround, Surroundings
-from sarsplat.surface import extract_points
 
 BOX = (3.0, 2.0, 1.2)
 
@@ -54,9 +53,7 @@ def test_a_run_reads_back_as_it_was(finished: Run) -> None:
     ]
 
 
-def test_a_stopped_training_resumes_bit_for_bit(
-    dataset: Dataset, config: Config, tmp_path: Path, finished: Run
-) -> None:
+def test_a_stopped_training_resumes_to_the_bit(dataset: Dataset, config: Config, tmp_path: Path, finished: Run) -> None:
     def stop(step: Step) -> None:
         if step.iteration == 37:  # between checkpoints
             raise KeyboardInterrupt
@@ -189,14 +186,7 @@ def test_a_target_larger_than_its_box_is_told(dataset: Dataset, tmp_path: Path) 
     Trainer(images, config)
 
 
-def test_points_of_no_gaussians_are_none(finished: Run, dataset: Dataset) -> None:
-    nothing = finished.gaussians[:0]
-    assert extract_points(nothing, [View(0.0, 30.0)], dataset.grid, finished.config.points).shape == (0, 3)
-
-
-def test_folders_of_others_are_neither_read_nor_replaced(
-    dataset: Dataset, config: Config, tmp_path: Path, finished: Run
-) -> None:
+def test_folders_of_others_are_left_alone(dataset: Dataset, config: Config, tmp_path: Path, finished: Run) -> None:
     with pytest.raises(SarsplatError, match="exists"):
         reconstruct(dataset, config, finished.path)
     (tmp_path / "config.json").write_text('{"mine": 1}')
@@ -230,7 +220,7 @@ def test_a_given_box_is_where_a_target_is_looked_for(dataset: Dataset) -> None:
 @pytest.mark.parametrize(
     ("slow", "quickest"), [({1: 4, 2: 2, 4: 1}, 4), ({1: 1, 2: 9, 4: 20}, 1), ({1: 2, 2: 1, 4: 4}, 2)]
 )
-def test_steps_have_the_threads_that_are_quickest(
+def test_the_quickest_threads(
     slow: dict[int, int], quickest: int, threads: Callable[[int], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     threads(4)

@@ -44,7 +44,7 @@ def stop_at(monkeypatch: pytest.MonkeyPatch) -> Any:
     return arrange
 
 
-def test_results_are_never_older_than_the_checkpoint(
+def test_results_fit_the_checkpoint(
     dataset: Dataset, config: Config, tmp_path: Path, finished: Run, stop_at: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "run"
@@ -69,7 +69,7 @@ def test_results_are_never_older_than_the_checkpoint(
 
 
 @pytest.mark.parametrize("error", [ValueError(), Killed()])
-def test_an_old_run_is_kept_until_the_first_checkpoint(
+def test_an_old_run_is_kept(
     dataset: Dataset, config: Config, tmp_path: Path, finished: Run, stop_at: Any, error: BaseException
 ) -> None:
     out = tmp_path / "run"
@@ -86,7 +86,7 @@ def test_an_old_run_is_kept_until_the_first_checkpoint(
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
 
-def test_ctrl_c_before_the_first_checkpoint_keeps_an_old_run_and_makes_a_new_one(
+def test_ctrl_c_before_the_first_checkpoint(
     dataset: Dataset, config: Config, tmp_path: Path, finished: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def stop(step: Step) -> None:
@@ -104,7 +104,7 @@ def test_ctrl_c_before_the_first_checkpoint_keeps_an_old_run_and_makes_a_new_one
     assert len(Run.load(tmp_path / "new").points)  # which is extracted where it is asked for
 
 
-def test_it_is_locked_from_its_first_moment_to_its_last(
+def test_it_is_locked_throughout(
     dataset: Dataset, config: Config, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out, step, refused = tmp_path / "run", Trainer.step, []
@@ -144,7 +144,7 @@ def test_a_run_of_another_version_can_be_overwritten(dataset: Dataset, config: C
     assert reconstruct(dataset, replace(config, iterations=2), tmp_path, overwrite=True).iteration == 2
 
 
-def test_a_full_disk_is_told_in_one_sentence(
+def test_a_full_disk_is_named(
     dataset: Dataset, config: Config, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     real = Path.open
@@ -217,10 +217,7 @@ def test_sections_that_some_do_not_have_are_named() -> None:
     earlier = header("/a/T72", preset="quick", seed=0)
     assert distinguished(
         [earlier, header("/a/T72", preset="quick", smoothing={"rounds": 40}, dropout=0.1, seed=0)]
-    ) == [
-        "T72, seed 0",
-        "T72, smoothing, dropout 0.1, seed 0",
-    ]
+    ) == ["T72, seed 0", "T72, smoothing, dropout 0.1, seed 0"]
 
 
 # ---- another dataset, other settings or another version are refused --------------------------------------------------
@@ -286,11 +283,9 @@ def test_one_of_before_there_was_smoothing(given: Dataset, tmp_path: Path, monke
 
 
 @pytest.mark.parametrize("change", [{"spacing": 0.31}, {"azimuth": 1e-6}, {"seed": 1}])
-def test_another_dataset(begun: Path, tmp_path: Path, change: dict[str, Any]) -> None:
+def test_another_dataset(begun: Path, given: Dataset, tmp_path: Path, change: dict[str, Any]) -> None:
+    """Or the same one, changed in place."""
     refused(begun, make_dataset(tmp_path / "other", **change), CONFIG, "started with another dataset")
-
-
-def test_a_dataset_that_was_changed_in_place(begun: Path, given: Dataset, tmp_path: Path) -> None:
     image = given.images("train")[1].copy()
     image[0, 0] = 1e-30
     changed = shutil.copytree(given.path, tmp_path / "dataset")

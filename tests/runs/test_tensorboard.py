@@ -126,9 +126,7 @@ def test_other_methods_are_logged_too(dataset: Dataset, tmp_path: Path) -> None:
     assert len(actual.Images("train 000, azimuth 0°, grazing 40°/rendered")) == 3
 
 
-def test_a_killed_process_leaves_a_log_that_can_be_read(
-    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_killed_process_leaves_its_log(dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What lies on the disk after a step is what is left of a process that is killed there."""
     write_dataset(tmp_path / "data", dataset)
     out, look = tmp_path / "run", TensorBoard.__call__
@@ -144,7 +142,7 @@ def test_a_killed_process_leaves_a_log_that_can_be_read(
     assert steps(read(tmp_path / "left" / "tensorboard"), "loss") == list(range(1, 10))
 
 
-def test_without_tensorboard_it_is_said_before_the_training(
+def test_without_tensorboard(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)

@@ -83,9 +83,7 @@ def held(run: Run, width_m: float) -> float:
     return float((scene.optical_depth * areas)[near].sum())
 
 
-def test_a_stopped_one_goes_on_to_the_same_bits(
-    finished: Run, dataset: Dataset, config: Config, tmp_path: Path
-) -> None:
+def test_a_stopped_one_resumes_to_the_bit(finished: Run, dataset: Dataset, config: Config, tmp_path: Path) -> None:
     out, steps = tmp_path / "run", []
 
     def stop(step: Any) -> None:
@@ -159,7 +157,7 @@ def here(jobs: Sequence[TileJob], out: Path, means: Means) -> Ends:
         torch.set_num_threads(before)
 
 
-def test_processes_that_learn_tiles_make_the_same_bits(
+def test_processes_make_the_same_bits(
     finished: Run, stored: Dataset, config: Config, tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("sarsplat.progress._SECONDS_BETWEEN_LINES", 0.0)
@@ -171,7 +169,7 @@ def test_processes_that_learn_tiles_make_the_same_bits(
     assert "4 tiles, by other processes" in capsys.readouterr().out
 
 
-def test_a_cluster_that_learns_tiles_makes_the_same_bits(
+def test_a_cluster_makes_the_same_bits(
     finished: Run, stored: Dataset, config: Config, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """By a stand-in for Ray, which does everything in this process, but in another folder.
@@ -205,7 +203,7 @@ def test_a_cluster_that_learns_tiles_makes_the_same_bits(
     assert steps[-1][0] < 36
 
 
-def test_whoever_learned_a_tile_the_others_go_on(
+def test_tiles_go_on_whoever_began(
     finished: Run, stored: Dataset, config: Config, tmp_path: Path, executor: Any
 ) -> None:
     """Stopped while others learn tiles, after one of them; then in this process, and then by others again."""
@@ -231,9 +229,7 @@ def test_whoever_learned_a_tile_the_others_go_on(
     assert_same(run, finished)
 
 
-def test_a_tile_that_is_not_finished_is_one_sentence(
-    stored: Dataset, config: Config, tmp_path: Path, executor: Any
-) -> None:
+def test_an_unfinished_tile_is_one_sentence(stored: Dataset, config: Config, tmp_path: Path, executor: Any) -> None:
     out = tmp_path / "run"
     made = executor(lambda jobs, *_: (one for one in [(jobs[2], TileEnd("its process ended with code 3; resume it"))]))
     with pytest.raises(SarsplatError, match=r"^tile 3 of 4 was not finished: its process ended with code 3; resume"):
@@ -256,7 +252,7 @@ def test_a_tile_that_is_not_finished_is_one_sentence(
         ),
     ],
 )
-def test_what_others_cannot_learn_is_refused(
+def test_refusals_of_others(
     stored: Dataset, config: Config, tmp_path: Path, given: dict[str, Any], message: str
 ) -> None:
     how = replace(config, tiles=given.pop("tiles", 2))
@@ -275,7 +271,7 @@ def test_what_others_cannot_learn_is_refused(
         ({"densification": Densification()}, "densification is on, which cannot be combined with tiles 2"),
     ],
 )
-def test_what_tiles_cannot_do_is_refused(
+def test_refusals_of_tiles(
     dataset: Dataset, config: Config, changes: dict[str, Any], message: str, tmp_path: Path
 ) -> None:
     with pytest.raises(SarsplatError, match=message):

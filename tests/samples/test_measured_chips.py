@@ -66,9 +66,7 @@ def test_a_folder_of_each_set_and_class_and_one_table(datasets: list[Path], tmp_
     assert [path.name for path in sorted((tmp_path / "more" / "test-15").iterdir())] == ["BMP2", "T72"]
 
 
-def test_pixels_are_the_published_ones_scaled_and_cut_as_generated_ones_are(
-    datasets: list[Path], tmp_path: Path
-) -> None:
+def test_pixels_are_the_published_ones_scaled_and_cut_alike(datasets: list[Path], tmp_path: Path) -> None:
     write_measured_chips(datasets, tmp_path / "out", Encoding(format="png", crop=10))
     with (tmp_path / "out" / "labels.csv").open(newline="") as file:
         for row in csv.DictReader(file):
@@ -98,9 +96,7 @@ def test_what_does_not_fit_is_refused(datasets: list[Path], tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(("key", "value"), [("file", "../x.tif"), ("set", "../../x")])
-def test_a_list_of_chips_without_azimuth_that_leads_elsewhere_is_refused(
-    datasets: list[Path], tmp_path: Path, key: str, value: str
-) -> None:
+def test_a_list_that_leads_elsewhere_is_refused(datasets: list[Path], tmp_path: Path, key: str, value: str) -> None:
     header = datasets[0] / "dataset.json"
     content = json.loads(header.read_text())
     content["source"]["unplaced"][0][key] = value
@@ -110,7 +106,7 @@ def test_a_list_of_chips_without_azimuth_that_leads_elsewhere_is_refused(
     assert not (tmp_path / "out").exists()
 
 
-def test_the_command_takes_a_folder_of_datasets_and_replaces_only_its_own(
+def test_the_command_takes_a_folder_of_datasets(
     datasets: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["chips", "--measured", str(tmp_path / "datasets"), "--out", str(tmp_path / "out"), "--crop", "12"]
@@ -138,9 +134,7 @@ def test_labels_say_what_is_unusual_about_views(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("scale", "near"), [("max", "bottom"), ("fixed", "left")])
-def test_magnitudes_are_had_back_from_chips_that_are_each_scaled_alone(
-    datasets: list[Path], tmp_path: Path, scale: ChipScale, near: Side
-) -> None:
+def test_magnitudes_of_chips_scaled_alone(datasets: list[Path], tmp_path: Path, scale: ChipScale, near: Side) -> None:
     write_measured_chips(datasets, tmp_path / "out", Encoding(scale=scale, jpeg_quality=100, near=near))
     with (tmp_path / "out" / "labels.csv").open(newline="") as file:
         scales = {row["path"]: row["dn_per_magnitude"] for row in csv.DictReader(file)}

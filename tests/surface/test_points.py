@@ -167,7 +167,7 @@ def sorted_rows(points: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("least_height", [-5.0, 1.0])
-def test_points_are_the_same_bits_whatever_the_bricks(
+def test_bricks_change_no_bit(
     ball_with_a_hole: Gaussians, least_height: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Occluders outside a brick count, and haze that views look through from elsewhere."""

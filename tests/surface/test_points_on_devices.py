@@ -111,9 +111,7 @@ def test_a_village_is_that_of_the_cpu(village: Scene, elsewhere: Any) -> None:
     same(village, elsewhere)
 
 
-def test_parts_at_a_time_are_as_on_the_cpu(
-    scenes: dict[str, Scene], elsewhere: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_parts_are_as_on_the_cpu(scenes: dict[str, Scene], elsewhere: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Many points, many rays, and bricks."""
     monkeypatch.setattr(cells, "MOST_WAITING", 5000)
     monkeypatch.setattr(points, "_COARSEST", 1e-3)
