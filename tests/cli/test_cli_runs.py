@@ -204,11 +204,9 @@ def test_gaussians_alone_are_not_scored_on_ground_without_a_word(tmp_path, capsy
 
 
 # ---- `sarsplat view`: where it is, how it ends, and what it says if it cannot be -------------------------------------
-pytest.importorskip("viser")
-
-
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
+    pytest.importorskip("viser")
     write_dataset(tmp_path / "dataset", small_dataset())
     return tmp_path / "dataset"
 
@@ -254,6 +252,7 @@ def test_a_port_in_use_is_one_sentence(folder, refused):
 
 
 def test_gaussians_far_from_the_origin_are_moved_there_and_it_says_by_how_much(tmp_path, said, monkeypatch):
+    pytest.importorskip("viser")
     from sarsplat.viewer import Viewer
 
     far = upright(torch.tensor([[4.1e6, 0.9e6, 4.8e6], [4.1e6 + 4, 0.9e6, 4.8e6 + 2]]))

@@ -170,8 +170,6 @@ def test_clean_test_images_among_speckled_ones_pass():
 
 
 # ---- geocoded images without tags ------------------------------------------------------------------------------------
-trimesh = pytest.importorskip("trimesh")
-
 SQUARE = ImageGrid(64, 60, (0.3, 0.25), (0.4, 0.35))
 CHIPS = Path(__file__).resolve().parents[3] / "shared" / "data" / "mstar"
 ROUND = tuple(range(0, 360, 30))
@@ -180,6 +178,7 @@ TWO_SIDES = (74, 77, 80, 83, 86, 89, 92, 270, 273, 276, 279, 282, 285)
 
 def cylinder():
     """The same from all sides."""
+    trimesh = pytest.importorskip("trimesh")
     made = trimesh.creation.cylinder(1.2, 2.5, sections=180)
     made.apply_translation([0, 0, 1.25])
     return made

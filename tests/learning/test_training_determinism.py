@@ -31,9 +31,6 @@ from sarsplat.learning.strategies.density import DensityControl
 from sarsplat.runs.methods import method_named
 from sarsplat.settings.sections import Densification
 
-trimesh = pytest.importorskip("trimesh")
-pytest.importorskip("embreex")
-
 # Eight images have more pixels than torch sums on one thread, 2^15.
 GRID = ImageGrid(72, 72, (0.15, 0.15), (0.25, 0.25))
 KINDS = ("density", "measured")
@@ -42,6 +39,8 @@ _STEPS = 11  # one of them with density control
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    trimesh = pytest.importorskip("trimesh")
+    pytest.importorskip("embreex")
     mesh = trimesh.creation.box((3.0, 2.0, 1.2))
     mesh.apply_translation([0, 0, 0.6])
     views = [(View(azimuth, 40.0), "train") for azimuth in range(0, 360, 40)]

@@ -11,7 +11,7 @@ from sarsplat.scenes import BUILDINGS, Gamma0, ScatteringLaw, building_profile, 
 from sarsplat.scenes.raycast import raycast_mask, raycast_masks
 from sarsplat.scenes.simulate import simulate_images
 
-pytest.importorskip("trimesh")
+trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("embreex")
 
 GRID = ImageGrid(144, 20, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))  # as far as building A's shadow at 30°
@@ -98,7 +98,6 @@ def test_the_near_wall_faces_azimuth_0_with_its_foot_at_the_origin():
 
 
 # ---- masks by ray casting --------------------------------------------------------------------------------------------
-trimesh = pytest.importorskip("trimesh")
 
 GRIDS = [
     ImageGrid(48, 40, (0.3, 0.3), (0.3, 0.3)),

@@ -20,6 +20,7 @@ pytest.importorskip("embreex")
 
 CONSTANT = ScatteringLaw(floor=1.0, lobe=0.0)  # γ⁰ = 1 at every incidence
 GRID = ImageGrid(64, 64, (0.3, 0.3), (0.3, 0.3))
+BELOW = pytest.mark.filterwarnings("ignore:.*of the target's surface is below the ground")
 
 
 def box(x, y, z):
@@ -98,7 +99,7 @@ def test_free_ground_is_exact_and_full_shadow_dark(grazing, shadow):
         assert image[dark][:, 24:40].max() < 1e-3 * free
 
 
-@pytest.mark.filterwarnings("ignore:.*of the target's surface is below the ground")
+@BELOW
 def test_what_lies_below_the_ground_is_not_seen():
     buried = box((-2, 2), (-2, 2), (-3, -1))
     image = simulate_raycast(buried, View(0, 45), GRID, CONSTANT, ground_gamma0=0.2)
@@ -236,8 +237,6 @@ def test_the_error_of_the_rays_is_what_finer_rays_tell(t72):
 
 
 # ---- on terrain: closed forms, and the renderer, which shares nothing with it ----------------------------------------
-pytestmark = pytest.mark.filterwarnings("ignore:.*of the target's surface is below the ground")
-
 HILLY = ImageGrid(48, 48, (0.3, 0.3), (0.45, 0.45))
 LAW = ScatteringLaw(0.5, 0.0)
 
@@ -254,6 +253,7 @@ def cast(mesh: trimesh.Trimesh, view: View, ground: Terrain, law: ScatteringLaw 
     return simulate_raycast(mesh, view, HILLY, law, terrain=ground, **settings)
 
 
+@BELOW
 @pytest.mark.parametrize(("grazing", "tilt"), [(40.0, 15.0), (40.0, -15.0), (20.0, 0.0)])
 def test_a_slope_is_as_bright_as_its_own_angle_makes_it(grazing, tilt):
     image = cast(BURIED, View(0.0, grazing), slope(tilt))
@@ -261,6 +261,7 @@ def test_a_slope_is_as_bright_as_its_own_angle_makes_it(grazing, tilt):
     assert image[12:-12, 12:-12] == pytest.approx(np.full((24, 24), expected), rel=2e-3)
 
 
+@BELOW
 @pytest.mark.parametrize("view", [View(20.0, 30.0), View(200.0, 55.0)])
 def test_a_hill_looks_as_the_renderer_shows_it(view):
     """Of which the squares of terrain are curved, and here two triangles each."""
@@ -277,6 +278,7 @@ def test_a_hill_looks_as_the_renderer_shows_it(view):
     assert abs(float(error.mean())) < 3e-3 * level
 
 
+@BELOW
 def test_hills_hide_targets_and_targets_hills():
     view, ground = View(0.0, 20.0), hill(2.5, at=(3.0, 0.0), width_m=1.4)
     shade, lit = (cast(one, view, ground, ground_gamma0=0.0) for one in (cube(0.6), cube(0.6, x=6.3)))
@@ -287,6 +289,7 @@ def test_hills_hide_targets_and_targets_hills():
     assert (behind <= bare + 1e-4).all()
 
 
+@BELOW
 def test_level_beyond_its_end():
     image = cast(BURIED, View(70.0, 45.0), Terrain(np.zeros((2, 2)), (1.0, 1.0)))
     assert image == pytest.approx(np.full(image.shape, 0.2), rel=2e-3)

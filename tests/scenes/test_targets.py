@@ -20,7 +20,7 @@ from sarsplat.scenes import (
 )
 from sarsplat.scenes.placement import lost_digits, outside_images, recentred, shown_in, warn_below_ground
 
-pytest.importorskip("trimesh")
+trimesh = pytest.importorskip("trimesh")
 
 # Published length, width and height, m. The T-72's length is the one with its gun forward.
 DIMENSIONS = {
@@ -142,8 +142,6 @@ def test_a_village_is_as_large_as_asked_for_and_drawn_by_its_seed():
 
 
 # ---- where meshes stand ----------------------------------------------------------------------------------------------
-trimesh = pytest.importorskip("trimesh")
-
 GRID = paper_grid()
 VIEWS = [View(azimuth, 30) for azimuth in range(0, 360, 45)]
 

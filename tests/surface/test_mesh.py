@@ -222,8 +222,6 @@ def test_without_the_extra_it_is_told(ball: Ball, missing: str, monkeypatch: pyt
 
 
 # ---- noisy points of known shapes, among Gaussians that are as uncertain ---------------------------------------------
-pytest.importorskip("fcpw")
-
 CELL_M = 0.3
 NOISE_M, TILT = 0.025, 0.15  # standard deviations: of points across the surface, and of axes
 
@@ -273,6 +271,7 @@ class Known:
 
 @pytest.fixture(scope="module", params=SHAPES)
 def known(request: pytest.FixtureRequest) -> tuple[str, Known]:
+    pytest.importorskip("fcpw")
     return request.param, Known(request.param)
 
 

@@ -96,8 +96,6 @@ def test_what_is_empty_has_the_colour_of_the_page(page):
 
 
 # ---- in three dimensions ---------------------------------------------------------------------------------------------
-pytest.importorskip("viser")
-
 MIDDLE, REACH = np.array([1.0, -2.0, 0.0]), 6.0
 TILTED = np.array([[-3.0, -4.0, 1.5], [4.0, -4.0, 1.5], [4.0, 4.0, -4.0], [-3.0, 4.0, -4.0]])  # through the ground
 

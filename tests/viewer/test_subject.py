@@ -152,9 +152,6 @@ def test_of_views_from_one_direction_the_nearest_is_turned_alike(dataset):
 
 
 # ---- the phase between two passes ------------------------------------------------------------------------------------
-pytest.importorskip("viser")
-
-
 LOOK, GRID = View(0.0, 45.0), ImageGrid(24, 20, (0.5, 0.5), (0.6, 0.6))
 
 
@@ -182,6 +179,7 @@ def test_level_ground_has_no_phase_from_any_view(run: Run, view: View) -> None:
 
 
 def test_the_page_offers_it(run: Run, finished: Run) -> None:
+    pytest.importorskip("viser")
     with Viewer(subject_of_run(run)) as viewer:
         choice = viewer._controls._set["map"]
         assert choice.visible and PHASES in choice.options
