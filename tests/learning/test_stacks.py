@@ -260,17 +260,9 @@ AWAY = ((100.0, 100.0, 0.0), (110.0, 110.0, 5.0))
             )
             for noise in (1e-12, 1e-7)
         ),
-        (
-            of_two,
-            changed(passes=replace(PASSES, window=25)),
-            r"passes.window is 25, more than the 24 × 20 pixels of the images; give a",
-        ),
+        (of_two, changed(passes=replace(PASSES, window=25)), "passes.window is 25, more than the 24 × 20 pixels of"),
         (of_two, changed(passes=None), "the loss passes needs passes on"),
-        (
-            dataset,
-            {"loss": lambda a, b: a.mean()},
-            r"loss is .*, which cannot be combined with passes on; give 'passes'",
-        ),
+        (dataset, {"loss": lambda a, b: a.mean()}, "loss is .*, which cannot be combined with passes on; give"),
         (dataset, {"strategies": [Watching()]}, "plane gradients, which cannot be combined with passes on; omit it"),
         (single, {"preset": "stack"}, r"passes is on .preset stack., .* has single images; give passes off"),
     ],

@@ -245,9 +245,7 @@ def test_a_wrong_kernel_means_one_warning_and_the_cpu(trials, monkeypatch):
     reason = trials()
     assert reason.startswith("its images of harmonics differ from the CPU engine's by a part of 0.")
     assert (trials(), trials.count) == (reason, 1)
-    with pytest.warns(
-        SarsplatWarning, match="the CPU is used, because the CUDA engine did not pass its check.*images"
-    ) as told:
+    with pytest.warns(SarsplatWarning, match="the CPU is used, because the CUDA engine did not pass its") as told:
         assert [training_device.device_named("auto") for _ in range(3)] == [CPU] * 3
     assert len(told) == 1
     assert training_device.device_named("cuda") == ON_GPU.device

@@ -141,23 +141,17 @@ def test_no_cuda(monkeypatch):
 
 def test_no_driver_and_no_nvrtc(monkeypatch):
     monkeypatch.setattr(cuda_device, "_DRIVER", "libnothing.so.1")
-    with pytest.raises(
-        SarsplatError, match=r"the NVIDIA driver cannot be loaded .*libnothing.so.1.*; install it, or use"
-    ):
+    with pytest.raises(SarsplatError, match="the NVIDIA driver cannot be loaded .*libnothing.so.1.*; install it, or"):
         cuda_device._driver.__wrapped__()
     monkeypatch.setattr(nvrtc, "_candidates", lambda: [Path("libnothing.so.2"), Path("libnothing.so.3")])
-    with pytest.raises(
-        SarsplatError, match=r"NVRTC.* cannot be loaded \(libnothing.so.2: .*; libnothing.so.3: .*; install"
-    ):
+    with pytest.raises(SarsplatError, match=r"NVRTC.* cannot be loaded \(libnothing.so.2: .*; libnothing.so.3"):
         nvrtc._load.__wrapped__()
 
 
 def test_tensors_that_the_engine_does_not_take():
     on_gpu = SimpleNamespace(dtype=torch.float32, device=torch.device("cuda", 0))
     assert check_for_cuda({"means": on_gpu, "amplitudes": None}) == 0
-    with pytest.raises(
-        SarsplatError, match=r"scales is torch.float32 on cpu; the CUDA engine takes .* on a GPU \(move"
-    ):
+    with pytest.raises(SarsplatError, match="scales is torch.float32 on cpu; the CUDA engine takes .* on a GPU"):
         check_for_cuda({"means": on_gpu, "scales": torch.ones(3)})
     elsewhere = SimpleNamespace(dtype=torch.float32, device=torch.device("cuda", 1))
     with pytest.raises(SarsplatError, match=r"gain is torch.float32 on cuda:1 but means is torch.float32 on cuda:0"):

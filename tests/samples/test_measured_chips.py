@@ -59,9 +59,7 @@ def test_a_folder_of_each_set_and_class_and_one_table(datasets: list[Path], tmp_
     assert {(row["serial"], row["near_side"]) for row in rows} == {("SN_132", "bottom"), ("9563", "bottom")}
     assert json.loads((tmp_path / "out" / "measured-chips.json").read_text())["format"] == "png"
     write_dataset(tmp_path / "train", read_dataset(datasets[0]).select("train"))
-    with pytest.warns(
-        SarsplatWarning, match="has 1 empty folder, the first test-15/T72, so that classes have the same"
-    ):
+    with pytest.warns(SarsplatWarning, match="has 1 empty folder, the first test-15/T72, so that classes have the"):
         write_measured_chips([tmp_path / "train", datasets[1]], tmp_path / "more", Encoding())
     assert [path.name for path in sorted((tmp_path / "more" / "test-15").iterdir())] == ["BMP2", "T72"]
 
@@ -158,9 +156,7 @@ def test_magnitudes_of_chips_scaled_alone(datasets: list[Path], tmp_path: Path, 
 def test_power_in_eight_bits_is_read_as_power_or_not_at_all(datasets: list[Path], tmp_path: Path) -> None:
     out, labels = tmp_path / "out", tmp_path / "out" / "labels.csv"
     write_measured_chips(datasets, out, Encoding(format="png", quantity="power"))
-    with pytest.raises(
-        SarsplatError, match="which is for power, but they are taken for amplitude; the quantity must be power"
-    ):
+    with pytest.raises(SarsplatError, match="which is for power, but they are taken for amplitude; the quantity must"):
         import_folder(out, tmp_path / "a", target_class="BMP2", quantity="amplitude")
     with pytest.raises(SarsplatError, match=r"is at the bottom \(near_side\), but `near` is top; leave it out"):
         import_folder(out, tmp_path / "a", target_class="BMP2", near="top")

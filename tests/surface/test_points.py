@@ -220,9 +220,7 @@ def test_rays_of_a_window_are_cut_from_what_was_traced() -> None:
 def test_what_does_not_fit_into_memory_is_refused(ball_with_a_hole: Gaussians, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(memory, "free_bytes", lambda: 1000.0)
     monkeypatch.setattr(OfView, "of", lambda *_: pytest.fail("must not get here"))
-    with pytest.raises(
-        SarsplatError, match=r"^extracting the surface takes about .* 9\.3e-07 GiB are free; .*rays_per"
-    ):
+    with pytest.raises(SarsplatError, match=r"^extracting the surface takes about .* 9\.3e-07 GiB are free"):
         extract_points(ball_with_a_hole, VIEWS, GRID, KEPT)
 
 

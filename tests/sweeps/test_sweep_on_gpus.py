@@ -199,9 +199,7 @@ def test_how_many_share_a_gpu_unasked(place, plan, made, monkeypatch, count, pro
 
 
 def test_per_device_is_for_plans_with_a_gpu(place, plan):
-    with pytest.raises(
-        SarsplatError, match="per_device is 2, but no run of the plan is on a GPU; leave it out, or give"
-    ):
+    with pytest.raises(SarsplatError, match="per_device is 2, but no run of the plan is on a GPU; leave it out, or"):
         sweep(plan, place / "out", means=Means(per_device=2), quiet=True)
     with pytest.raises(SarsplatError, match="per_device is 0; give a finite number from 1"):
         Means(per_device=0)
