@@ -1,7 +1,5 @@
 """Made-up runs of tests: short trainings, runs of chips, and runs without a training for pages."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace

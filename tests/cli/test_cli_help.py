@@ -1,7 +1,5 @@
 """What help says; how soon a command begins; and what it imports."""
 
-from __future__ import annotations
-
 import inspect
 import json
 import os

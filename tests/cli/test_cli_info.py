@@ -1,7 +1,5 @@
 """What `sarsplat info` says: of datasets and their views, in letters and as a picture; of runs; of folders of both."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """`sarsplat render`: what a name stands for, sweeps, and other pixels than the run's."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

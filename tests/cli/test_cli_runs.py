@@ -1,7 +1,5 @@
 """Commands of runs: `sarsplat chips` and `sarsplat view`, and files of Gaussians of other programs."""
 
-from __future__ import annotations
-
 import csv
 import json
 import os

@@ -1,7 +1,5 @@
 """Settings on the command line: a preset or a file gives them, flags override them, and a shell completes them."""
 
-from __future__ import annotations
-
 import ast
 import json
 import os

@@ -1,7 +1,5 @@
 """What `sarsplat simulate` makes of its options."""
 
-from __future__ import annotations
-
 import math
 import sys
 from dataclasses import replace

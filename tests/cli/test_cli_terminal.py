@@ -1,7 +1,5 @@
 """What reaches the terminal: on any encoding, without control characters; and of a newcomer's mistakes one sentence."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

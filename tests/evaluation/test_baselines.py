@@ -1,7 +1,5 @@
 """Scores for comparison, and what images leave open: the inside of a uniform roof, not its edges."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

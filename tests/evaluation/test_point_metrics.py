@@ -1,7 +1,5 @@
 """Scores of points against a known surface: alignment, distances, and objects that points lack."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Images that contradict what a dataset says of them are found; those that do not, pass."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Iterable

@@ -1,7 +1,5 @@
 """What looks like a mistake is told by name; what somebody may well mean, and echoes can make, is not."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import warnings

@@ -1,7 +1,5 @@
 """Cut-off, stretched, repeated and geocoded pictures are recognised; others are not taken for such."""
 
-from __future__ import annotations
-
 import re
 import warnings
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Maps of a run, read back by GDAL through rasterio."""
 
-from __future__ import annotations
-
 import math
 import re
 import tracemalloc

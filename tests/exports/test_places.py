@@ -1,7 +1,5 @@
 """Exports of a run that knows where on earth it is, read back by programs that are not ours."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A corner reflector in SICDs comes out of a LAS file where the SICDs' own projection has it."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What is refused of directions, places, views, grids, stacks and rotations."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """What follows from the direction of a view, by checks that know only the frame's definition; rotations aloft."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

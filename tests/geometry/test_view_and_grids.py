@@ -1,7 +1,5 @@
 """Frames, angles, pixel positions (docs/reference/conventions.md §1), stacks, and places on earth."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

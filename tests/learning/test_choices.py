@@ -1,7 +1,5 @@
 """Choices by trying: the quicker device, and settings by evidence."""
 
-from __future__ import annotations
-
 import time
 import warnings
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The ground of a model: its level, texture, law of the grazing angle and second bounce are those of the images."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

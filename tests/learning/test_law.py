@@ -1,7 +1,5 @@
 """The law of scattering that all Gaussians of a training have in common is learned from the images."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path

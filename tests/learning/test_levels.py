@@ -1,7 +1,5 @@
 """Coarse to fine: which images a training looks at, and that nothing suits one size of target alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

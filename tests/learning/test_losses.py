@@ -1,7 +1,5 @@
 """Losses and likelihoods against closed forms and an independent SSIM; engines and plain torch against float64."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import partial

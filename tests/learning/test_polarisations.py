@@ -1,7 +1,5 @@
 """Reconstruction from several polarisations: what returns how, with the same bits again, and passes besides."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

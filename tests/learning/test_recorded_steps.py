@@ -1,7 +1,5 @@
 """Steps that a GPU makes by itself: the same bits as launch by launch, for as long as what it was told suffices."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """Azimuths, axes and rates of rotation that are known roughly are refined; those known exactly change nothing."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Neighbours are drawn into common planes: what is rough becomes flat, what is bent or unseen stays."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Reconstruction from interferometric stacks: heights in layover, the same bits again, and what is refused."""
 
-from __future__ import annotations
-
 import re
 import warnings
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """A strategy of one's own: it changes rows, remembers what it likes, and is saved and resumed like ours."""
 
-from __future__ import annotations
-
 import runpy
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Parts of measured images: texture, found from some chips and seen in others, and side lobes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

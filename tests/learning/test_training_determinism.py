@@ -1,7 +1,5 @@
 """Trainings are the same bit for bit: with any threads, batches and default dtype, run after run, across a kill."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Training away from the CPU: nothing of a step leaves the device, and the CUDA engine's source learns as the CPU's."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial

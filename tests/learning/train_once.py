@@ -3,8 +3,6 @@
 With KILL_AT the process kills itself, as `kill -9` does, in the middle of the step after that many.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -1,7 +1,5 @@
 """The CUDA engine, emulated: with bounds, of lit ground and of terrain, however it is run."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Around the CUDA engine's kernels: what is compiled and kept, the launcher, and the check that `auto` asks for."""
 
-from __future__ import annotations
-
 import ctypes
 import logging
 import sys

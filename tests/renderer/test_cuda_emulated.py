@@ -141,7 +141,7 @@ def test_no_cuda(monkeypatch):
 
 def test_no_driver_and_no_nvrtc(monkeypatch):
     monkeypatch.setattr(cuda_device, "_DRIVER", "libnothing.so.1")
-    with pytest.raises(SarsplatError, match="the NVIDIA driver cannot be loaded .*libnothing.so.1.*; install it, or"):
+    with pytest.raises(SarsplatError, match=r"the NVIDIA driver cannot be loaded .*libnothing.so.1.*; install it, or"):
         cuda_device._driver.__wrapped__()
     monkeypatch.setattr(nvrtc, "_candidates", lambda: [Path("libnothing.so.2"), Path("libnothing.so.3")])
     with pytest.raises(SarsplatError, match=r"NVRTC.* cannot be loaded \(libnothing.so.2: .*; libnothing.so.3"):
@@ -151,7 +151,7 @@ def test_no_driver_and_no_nvrtc(monkeypatch):
 def test_tensors_that_the_engine_does_not_take():
     on_gpu = SimpleNamespace(dtype=torch.float32, device=torch.device("cuda", 0))
     assert check_for_cuda({"means": on_gpu, "amplitudes": None}) == 0
-    with pytest.raises(SarsplatError, match="scales is torch.float32 on cpu; the CUDA engine takes .* on a GPU"):
+    with pytest.raises(SarsplatError, match=r"scales is torch.float32 on cpu; the CUDA engine takes .* on a GPU"):
         check_for_cuda({"means": on_gpu, "scales": torch.ones(3)})
     elsewhere = SimpleNamespace(dtype=torch.float32, device=torch.device("cuda", 1))
     with pytest.raises(SarsplatError, match=r"gain is torch.float32 on cuda:1 but means is torch.float32 on cuda:0"):

@@ -1,7 +1,5 @@
 """What records steps: in which order CUDA is asked, and what is told by the arguments of a launch."""
 
-from __future__ import annotations
-
 import gc
 import weakref
 from contextlib import contextmanager

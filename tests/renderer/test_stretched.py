@@ -1,7 +1,5 @@
 """Unusual views: with a stretched cross-range, a tilted azimuth axis, or a radar that looks to the left."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The report in a browser: it works offline, turns, and can be read on a phone."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path

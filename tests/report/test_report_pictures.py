@@ -1,7 +1,5 @@
 """Pictures of reports: decibels, windows, sheets; and of stacks two passes and a slice through layover."""
 
-from __future__ import annotations
-
 import base64
 import io
 import math

@@ -1,7 +1,5 @@
 """Runs that leave the memory, and runs of Gaussians that no training of ours has made."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What researchers bend: trainings in memory, watched, with a loss or a method of their own, and images left out."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import os

@@ -1,7 +1,5 @@
 """The trainer on a small box: it learns, resumes bit for bit, and leaves a usable run whenever it stops."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The folder of a run: results fit the checkpoint, one process writes, and it goes on only as it was begun."""
 
-from __future__ import annotations
-
 import errno
 import json
 import shutil

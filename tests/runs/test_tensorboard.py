@@ -1,7 +1,5 @@
 """The log for TensorBoard, read back with TensorBoard's own reader."""
 
-from __future__ import annotations
-
 import io
 import shutil
 import sys

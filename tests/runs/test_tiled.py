@@ -1,7 +1,5 @@
 """Reconstruction by tiles: the whole scene on coarse images, then tile after tile, and no seams."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence

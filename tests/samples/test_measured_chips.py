@@ -1,7 +1,5 @@
 """Measured chips written as generated ones are."""
 
-from __future__ import annotations
-
 import csv
 import json
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Laws of scattering and speckle, and the splat truth."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The surface as points with normals and as a mesh: of a ball that is bright on one side, and of known shapes."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

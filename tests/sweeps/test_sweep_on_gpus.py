@@ -1,7 +1,5 @@
 """Several runs at a time in one process, as on a GPU: the same bits, answers that fit, and no other run is lost."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

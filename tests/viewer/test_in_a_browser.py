@@ -1,7 +1,5 @@
 """The page in a headless Chromium, of runs and of trainings, of which watching changes nothing."""
 
-from __future__ import annotations
-
 import socket
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """Colours, strips of images, the way back from a click to a pixel, and what is drawn in three dimensions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Runs and datasets as the page sees them, and phases between passes."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
