@@ -152,8 +152,6 @@ def test_parameters_are_options(message: str, shown: str) -> None:
 
 
 # ---- warnings -------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("grazing", "told"),
     [(15, ["the shape is uncertain; add views", "is uncertain: the weakest direction of its views is 77°"]), (60, [])],

@@ -98,7 +98,6 @@ def test_the_near_wall_faces_azimuth_0_with_its_foot_at_the_origin():
 
 
 # ---- masks by ray casting --------------------------------------------------------------------------------------------
-
 GRIDS = [
     ImageGrid(48, 40, (0.3, 0.3), (0.3, 0.3)),
     ImageGrid(90, 64, (0.25, 0.12), (0.5, 0.2), center_m=(0.4, -0.3)),

@@ -23,9 +23,8 @@ pytest.importorskip("embreex")
 VIEW, GRID, LAW = View(0, 45), ImageGrid(64, 64, (0.3, 0.3), (0.3, 0.3)), ScatteringLaw(1.0, 0.0)
 BOX = trimesh.creation.box((2.0, 2.0, 1.0))
 
+
 # ---- meshes ----
-
-
 def mesh(name: str, text: str) -> Do:
     return stored(text.encode(), load_mesh, name)
 
@@ -55,9 +54,8 @@ MESHES: Refusals = [
     (lambda _: surface_gaussians(trimesh.creation.box((7000, 3600, 2000)), 0.1), "if it is in millimetres"),
 ]
 
+
 # ---- how they scatter ----
-
-
 def mechanisms(**settings: Any) -> Do:
     return lambda _: Mechanisms(**{"of_faces": np.zeros(12, np.int64), **settings})
 
@@ -87,9 +85,8 @@ LAWS: Refusals = [
     (mechanisms(polarisations="HV"), "polarisations is 'HV'" + DIFFERENT),
 ]
 
+
 # ---- simulations ----
-
-
 def cast(mesh: Any = BOX, **settings: Any) -> Do:
     return lambda _: simulate_raycast(mesh, VIEW, GRID, LAW, **settings)
 
