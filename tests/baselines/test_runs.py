@@ -14,6 +14,7 @@ import pytest
 import torch
 from scipy.spatial import cKDTree
 
+from made_runs import assert_same
 from sarsplat import Dataset, ImageGrid, Run, SarsplatError, View, evaluate_run, reconstruct, write_report
 from sarsplat.baselines import BaselineMethod, Scene, soft_raster
 from sarsplat.baselines.mesh_renderer import MeshRenderer
@@ -92,9 +93,7 @@ def test_a_resumed_training_ends_with_the_same_bits(method, small_box, tmp_path,
     assert Run.load(tmp_path / "run").iteration == stop
     resumed = trained(method, small_box, tmp_path / "run", resume=True)
     assert resumed.iteration == SHORT[method]
-    assert resumed.snapshot.tensors.keys() == whole.snapshot.tensors.keys()
-    for name, tensor in whole.snapshot.tensors.items():
-        assert torch.equal(tensor, resumed.snapshot.tensors[name]), name
+    assert_same(resumed.snapshot, whole.snapshot)
     assert [line.loss for line in resumed.history][-1] == [line.loss for line in whole.history][-1]
 
 

@@ -112,10 +112,7 @@ WHOLE = {name: tensor.detach().long() for name, tensor in scene().tensors().item
 LOBES = NormalLobes(torch.zeros(6, 3))
 REFUSED: Refusals = [
     (lambda _: Gaussians.cat([]), "there are no Gaussians to join; give at least one scene"),
-    (
-        lambda _: Gaussians.cat([scene(), scene().to(torch.float64)]),
-        "scene 1 is torch.float64 on cpu but scene 0 is torch.float32",
-    ),
+    (lambda _: Gaussians.cat([scene(), scene().to(torch.float64)]), "scene 1 is torch.float64 on cpu but scene 0"),
     (lambda _: Gaussians.cat([replace(scene(), scattering=LOBES), scene()]), "normal-lobes and harmonics cannot be"),
     (
         lambda _: Gaussians(*list(WHOLE.values())[:4], scattering=Harmonics(WHOLE["scattering"])),

@@ -74,11 +74,7 @@ ARGUMENTS: list[tuple[tuple[str, ...], dict[str, object], str]] = [
     (CPU, {"gaussians": TEN.to(torch.float64)}, "means is torch.float64 on cpu; the CPU engine takes"),
     (CPU, {"gain": torch.ones(3).double()}, "gain is torch.float64"),
     (REFERENCE, {"plane_gradients": True}, r"\(cpu, cuda\)"),
-    (
-        REFERENCE,
-        {"gaussians": cloud(60, 0), "rays": RayGrid((0.001, 0.001))},
-        r"too many rays at a spacing .* use coarser rays",
-    ),
+    (REFERENCE, {"gaussians": cloud(60, 0), "rays": RayGrid((0.001, 0.001))}, "use coarser rays"),
     (AUTO, {"views": UNUSUAL[:1], "ground": SLOPE}, "tilted by 25°, under which only level ground can be rendered"),
     (PLAIN, {"views": STRETCHED, "first_return_depth": 0.5}, "stretched"),
     (CPU, WIDE, "80000 × 1 pixels is too large"),

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from made import FEW_POINTS, dataset_of
+from made_runs import assert_same
 from sarsplat import Config, Dataset, ImageGrid, SarsplatError, View, preset, write_dataset
 from sarsplat.cli import main
 from sarsplat.runs import METHODS, Step, TensorBoard, reconstruct
@@ -92,8 +93,7 @@ def test_nothing_changes_and_resuming_appends(dataset: Dataset, tmp_path: Path, 
     (out / "checkpoints" / "00000009.safetensors").unlink()  # as if killed
     resumed = reconstruct(dataset, CONFIG, out, on_step=TensorBoard(log, dataset), resume=True, quiet=True)
     assert steps(read(log), "loss") == list(range(1, 13))
-    for name, tensor in whole.snapshot.tensors.items():
-        assert bool((resumed.snapshot.tensors[name] == tensor).all()), name
+    assert_same(resumed.snapshot, whole.snapshot)
 
 
 def test_a_run_that_is_overwritten_keeps_its_log_until_the_new_one_is_there(dataset: Dataset, tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import pytest
 import torch
 
 from made import FEW_POINTS, dataset_of, upright
+from made_runs import assert_same
 from sarsplat import Config, Dataset, Gaussians, ImageGrid, RayGrid, Run, SarsplatError, View, preset, reconstruct
 from sarsplat.data import read_dataset, write_dataset
 from sarsplat.executors import EXECUTORS, Means, executor_ray
@@ -51,15 +52,6 @@ def finished(dataset: Dataset, config: Config, tmp_path_factory: pytest.TempPath
     return reconstruct(dataset, config, tmp_path_factory.mktemp("tiled") / "run", quiet=True)
 
 
-def tensors(run: Run) -> dict[str, torch.Tensor]:
-    return run.snapshot.tensors
-
-
-def assert_same(run: Run, other: Run) -> None:
-    assert tensors(run).keys() == tensors(other).keys()
-    assert all(torch.equal(tensor, tensors(other)[name]) for name, tensor in tensors(run).items())
-
-
 def test_nothing_is_lost_or_doubled_at_the_seams(finished: Run, dataset: Dataset, config: Config) -> None:
     """Tiles meet near the middle, in the shape of a cross: there is as much as where the whole is learned at once."""
     whole = reconstruct(dataset, replace(config, tiles=1), quiet=True)
@@ -95,7 +87,7 @@ def test_a_stopped_one_resumes_to_the_bit(finished: Run, dataset: Dataset, confi
     assert steps.count(36) == 3  # finished tiles are kept
     assert (out / "tiles").is_dir()
     resumed = reconstruct(dataset, config, out, quiet=True, resume=True)
-    assert_same(resumed, finished)
+    assert_same(resumed.snapshot, finished.snapshot)
     np.testing.assert_array_equal(resumed.points, finished.points)
     assert not (out / "tiles").exists()
     assert [line.iteration for line in resumed.history][-1] == 36
@@ -103,7 +95,7 @@ def test_a_stopped_one_resumes_to_the_bit(finished: Run, dataset: Dataset, confi
 
 def test_threads_and_folders_make_no_difference(finished: Run, dataset: Dataset, config: Config, threads: Any) -> None:
     threads(3 if torch.get_num_threads() == 1 else 1)
-    assert_same(reconstruct(dataset, config, quiet=True), finished)
+    assert_same(reconstruct(dataset, config, quiet=True).snapshot, finished.snapshot)
 
 
 def test_its_points_are_extracted_anew(finished: Run, dataset: Dataset, config: Config) -> None:
@@ -160,7 +152,7 @@ def test_processes_make_the_same_bits(
 ) -> None:
     monkeypatch.setattr("sarsplat.progress._SECONDS_BETWEEN_LINES", 0.0)
     run = reconstruct(stored, config, tmp_path / "run", executor="local", means=Means(processes=2))
-    assert_same(run, finished)
+    assert_same(run.snapshot, finished.snapshot)
     np.testing.assert_array_equal(run.points, finished.points)
     assert run.history[-1].iteration == 36
     assert not (tmp_path / "run" / "tiles").exists()
@@ -196,7 +188,7 @@ def test_a_cluster_makes_the_same_bits(
     run = reconstruct(
         near, config, "run", executor="ray", on_step=lambda at: steps.append((at.iteration, at.last)), quiet=True
     )
-    assert_same(run, finished)
+    assert_same(run.snapshot, finished.snapshot)
     assert [last for _, last in steps] == [False] * (len(steps) - 1) + [True]
     assert steps[-1][0] < 36
 
@@ -224,7 +216,7 @@ def test_tiles_go_on_whoever_began(
         reconstruct(stored, config, out, on_step=stop, quiet=True, resume=True)
     assert steps[0][0] > 1  # the whole is not learned again
     run = reconstruct(stored, config, out, executor=executor(here), quiet=True, resume=True)
-    assert_same(run, finished)
+    assert_same(run.snapshot, finished.snapshot)
 
 
 def test_an_unfinished_tile_is_one_sentence(stored: Dataset, config: Config, tmp_path: Path, executor: Any) -> None:
