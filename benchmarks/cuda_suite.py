@@ -65,7 +65,7 @@ def of_scenes(gpu: Gpu) -> Found:
     from compared import relative
     from named_scenes import MATRIX
     from test_cpu_engine import NOTHING_TO_SEE, judged
-    from test_cuda_native import on_gpu
+    from test_cuda_emulated import on_gpu
 
     for name in list(MATRIX)[: gpu.few(len(MATRIX), 2)]:
         scene, values, norms, gradients, _ = judged(name)

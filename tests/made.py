@@ -14,10 +14,9 @@ import tifffile
 import torch
 from torch import Tensor
 
-from sarsplat import ScatteringLaw, Terrain, preset, simulate_raycast
+from sarsplat import ImageGrid, ScatteringLaw, Stack, Terrain, View, preset, simulate_raycast
 from sarsplat.data import Dataset, DatasetEntry, write_dataset
 from sarsplat.gaussians import Gaussians, Harmonics, Scattering
-from sarsplat.geometry import ImageGrid, Stack, View
 
 FEW_POINTS = replace(preset("default").points, voxel=0.3, rays_per_pixel=2.0)
 """Of small targets: points and their normals would otherwise take ten times as long as a short training."""

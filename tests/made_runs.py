@@ -1,7 +1,5 @@
 """Made-up runs of tests: short trainings, runs of chips, and runs without a training for pages."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,10 +9,9 @@ import numpy as np
 import torch
 
 from made import FEW_POINTS, dataset_of
-from sarsplat import Config, Dataset, ImageGrid, Run, View, preset, reconstruct, write_dataset
+from sarsplat import Config, Dataset, ImageGrid, Run, Trainer, View, preset, reconstruct, write_dataset
 from sarsplat.evaluation import IMAGE_METRICS, Yardstick, all_metrics, metrics_of_points
 from sarsplat.geometry.responses import TAYLOR
-from sarsplat.learning import Trainer
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.names import RadarSide
 from sarsplat.runs.run_folder import LogLine, TrainingState

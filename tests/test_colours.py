@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 import sarsplat
-from sarsplat import colours
-from sarsplat.errors import SarsplatError
+from sarsplat import SarsplatError, colours
 
 PACKAGE = Path(sarsplat.__file__).parent
 RAMPS = (*colours.POWER_RAMPS, colours.HEIGHT, colours.ERROR, colours.DIFFERENCE)

@@ -5,24 +5,19 @@ import json
 import os
 import sys
 import time
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
-from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
-from threading import get_ident
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
 import torch
-from emulated_cuda import Emulator
-from emulated_recorder import EmulatedRecorder
+from emulated_cuda import Emulator, on_emulated_gpu
 from torch.profiler import DeviceType
 
 from programs import ROOT
-from sarsplat.renderer.engines import choice, cuda, on_device
 from sarsplat.scenes.targets import TARGETS
 from sarsplat.settings.presets import PRESETS
 
@@ -36,18 +31,10 @@ def suite(module: Callable[[str], ModuleType]) -> ModuleType:
 
 
 @pytest.fixture
-def emulator(library: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Emulator]:
+def emulator(library: Path) -> Iterator[Emulator]:
     """On the CPU, all that a GPU would do is emulated."""
-    emulator = Emulator(library)
-    engine = choice.Engine(
-        "cpu", lambda *_: partial(cuda.Pass, emulator), takes_bounds=True, recorder=lambda _: EmulatedRecorder(emulator)
-    )
-    monkeypatch.setattr(on_device, "queue_of", lambda device: get_ident())
-    monkeypatch.setitem(choice.ENGINES, "cuda", engine)
-    monkeypatch.setitem(choice.ENGINES, "cpu", replace(choice.ENGINES["cpu"], device_type="none"))  # so "auto" is not
-    choice._fitting.cache_clear()
-    yield emulator
-    choice._fitting.cache_clear()
+    with on_emulated_gpu(emulator := Emulator(library)):
+        yield emulator
 
 
 @pytest.fixture
@@ -190,34 +177,6 @@ def test_the_time_is_kept(stub, capsys):
     said = capsys.readouterr().out
     assert "long: not run; it takes about 101 s, and 100 s are left" in said
     assert "last: not run; it takes about 1 s, and 0 s are left" in said
-
-
-def test_sections_run_alone_leave_the_others_as_they_were(stub):
-    def counted(number):
-        def section(gpu):
-            yield "number", number
-
-        return section, 1
-
-    stub.run(one=counted(1), two=counted(2))
-    sections = kept(stub.run(only=("two",), one=counted(3), two=counted(4)))["sections"]
-    assert {name: section["found"]["number"] for name, section in sections.items()} == {"one": 1, "two": 4}
-    assert kept(stub.run(two=counted(5)))["sections"].keys() == {"two"}
-
-
-def test_waits_are_counted_by_line(suite, tmp_path, monkeypatch):
-    modes = []
-    monkeypatch.setattr(torch.cuda, "set_sync_debug_mode", modes.append)
-
-    def program() -> None:
-        for _ in range(3):
-            warnings.warn("called a synchronizing CUDA operation", stacklevel=1)
-        warnings.warn("something else", stacklevel=1)
-
-    ((line, count),) = suite.Gpu(tmp_path, quick=True).waits(program).items()
-    assert line.startswith("test_cuda_suite.py:")
-    assert count == 3
-    assert modes == ["warn", "default"]
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")

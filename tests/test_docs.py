@@ -15,14 +15,13 @@ import pytest
 from made import FEW_POINTS
 from made_runs import made_up
 from programs import ROOT, python
-from sarsplat import Dataset, ImageGrid, SarImage, View, preset, reconstruct, simulate_images, write_dataset
+from sarsplat import PRESETS, Dataset, ImageGrid, SarImage, View, preset, reconstruct, simulate_images, write_dataset
 from sarsplat.cli import main
 from sarsplat.cli.app import parse
 from sarsplat.cli.commands import COMMANDS
 from sarsplat.evaluation import IMAGE_METRICS, MASK_METRICS, RUN_METRICS, Yardstick, metrics_of_points
 from sarsplat.gaussians import SCATTERINGS
 from sarsplat.scenes import target_mesh
-from sarsplat.settings import PRESETS
 
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 CHEAP = ("completion", "doctor", "export", "info", "render", "report")

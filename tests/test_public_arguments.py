@@ -16,24 +16,12 @@ from torch import Tensor
 
 import sarsplat
 from made import small_dataset, upright
-from sarsplat import (
-    Config,
-    Dataset,
-    Gaussians,
-    Harmonics,
-    ImageGrid,
-    RayGrid,
-    Run,
-    SarImage,
-    SarsplatError,
-    Trainer,
-    View,
-    Viewer,
-    reconstruct,
-)
+from sarsplat import Harmonics, ImageGrid, RayGrid, Run, SarImage, SarsplatError, Trainer, View, Viewer, reconstruct
 from sarsplat.arguments import checks_arguments
-from sarsplat.data import read_points_ply, write_mesh, write_points_ply
+from sarsplat.data import Dataset, read_points_ply, write_mesh, write_points_ply
+from sarsplat.gaussians import Gaussians
 from sarsplat.scenes import ScatteringLaw, law_scattering
+from sarsplat.settings import Config
 
 if TYPE_CHECKING:
     import trimesh

@@ -1,6 +1,7 @@
-"""The checker of shape annotations does check; otherwise every other test would pass in vain."""
+"""The tests' own tools work: shape annotations are checked, and the browser tells of requests."""
 
 from collections import Counter
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import torch
 from jaxtyping import Float
 
 import shapes
+from chromium import chromium
 from sarsplat import Gaussians, Harmonics, SarsplatError, View, radar_frame
 from sarsplat.evaluation.lpips import Lpips
 from sarsplat.gaussians.gaussians import covariance, rotation_matrix
@@ -58,3 +60,29 @@ def test_refusing_by_itself_is_fine():
 def test_names_imported_elsewhere_are_watched_too():
     assert covariances.rotation_matrix is rotation_matrix
     assert hasattr(rotation_matrix, "__wrapped__")
+
+
+# ---- the browser -----------------------------------------------------------------------------------------------------
+PAGE = """
+<img src="http://elsewhere.invalid/picture.png">
+<script>
+const ask = "fetch('http://elsewhere.invalid/worker').catch(() => 0).finally(() => postMessage('asked'))"
+new Worker(URL.createObjectURL(new Blob([ask]))).onmessage = () => window.asked = true
+new WebSocket("ws://elsewhere.invalid/socket")
+</script>
+"""
+
+
+def test_the_requests_of_a_page_and_of_its_workers_are_seen(tmp_path: Path) -> None:
+    (tmp_path / "page.html").write_text(PAGE, encoding="utf-8")
+    with chromium() as browser:
+        browser.page.open((tmp_path / "page.html").as_uri())
+        browser.page.until("window.asked === true")
+        told = [complaint["entry"]["url"] for complaint in browser.page.complaints if "entry" in complaint]
+        asked = browser.quit()
+    assert "http://elsewhere.invalid/picture.png" in told
+    assert sorted(asked) == [
+        "http://elsewhere.invalid/picture.png",
+        "http://elsewhere.invalid/worker",
+        "ws://elsewhere.invalid/socket",
+    ]

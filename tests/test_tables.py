@@ -14,12 +14,11 @@ import pytest
 
 from made import dataset_of
 from programs import ROOT
-from sarsplat import ImageGrid, View, import_mstar, sweep
+from sarsplat import ImageGrid, View, import_mstar, preset, sweep
 from sarsplat.cli.app import parse
 from sarsplat.cli.arguments import views_from
 from sarsplat.evaluation import Yardstick, all_metrics
 from sarsplat.executors import EXECUTORS, Means
-from sarsplat.settings import preset
 from sarsplat.sweeps.cell import Cell
 from sarsplat.sweeps.plan import Plan
 from sarsplat.sweeps.results import Result
@@ -110,13 +109,6 @@ def test_an_experiment_is_a_plan(made, tmp_path):
     assert len({folder for part in parts for folder in part.datasets}) == 4
     assert parts[0].settings == {"gaussians": 5}
     assert len(made.plans.missing(table, tmp_path)) == 4
-
-
-def test_settings_are_shortened(made):
-    changed = row(made, "one", preset="paper", changes={"densification.stop": 12_000})
-    config = preset("paper").with_settings(changed.changes | made.plans.shortened(changed))
-    assert config.iterations == 60
-    assert config.densification.stop / config.iterations == pytest.approx(12_000 / 30_000, rel=0.1)
 
 
 def test_a_row_is_the_mean_over_targets_and_spreads_over_seeds(made, tmp_path):

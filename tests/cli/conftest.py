@@ -1,7 +1,5 @@
 """Commands that must succeed or be refused, and a small target for them."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable, Sequence

@@ -4,8 +4,6 @@ KILL_BEFORE=k: before the k-th time that it opens a file for writing, renames, r
 so many seconds. Without either it says at its end how many such moments there were and how long they took.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

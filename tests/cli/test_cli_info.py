@@ -1,7 +1,5 @@
 """What `sarsplat info` says: of datasets and their views, in letters and as a picture; of runs; of folders of both."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil
@@ -13,11 +11,9 @@ import pytest
 from rich.console import Console
 
 from made import dataset_of
+from sarsplat import Dataset, ImageGrid, Place, Run, SarImage, Turn, View, read_dataset, write_dataset
 from sarsplat.cli import main
 from sarsplat.cli.info_dataset import PLAIN, PRETTY, sky_chart, symbols_for
-from sarsplat.data import Dataset, SarImage, read_dataset, write_dataset
-from sarsplat.geometry import ImageGrid, Place, Turn, View
-from sarsplat.runs import Run
 from sarsplat.runs.run_folder import names_of
 from sarsplat.sweeps import Plan
 
@@ -70,9 +66,7 @@ def test_images_with_phase_say_so(dataset: Path, tmp_path: Path, said) -> None:
 @pytest.mark.parametrize(
     ("deviations", "told"), [((3.0, 0.03), "2 passes, axis ± 3°, rate ± 0.03"), ((0.0, 0.0), "2 passes, known exactly")]
 )
-def test_rotations_and_how_well_they_are_known(
-    tmp_path: Path, said, deviations: tuple[float, float], told: str
-) -> None:
+def test_rotations_and_their_deviations(tmp_path: Path, said, deviations: tuple[float, float], told: str) -> None:
     turns = [Turn((0, 0, 1), 40.0 * k, *deviations, name=str(k % 2)) for k in range(4)]
     frames = [SarImage(np.ones((8, 8), np.float32), turn.seen_from((1, 0.5, 0.3)), GRID) for turn in turns]
     write_dataset(tmp_path / "data", Dataset.from_images(frames, turns=turns))

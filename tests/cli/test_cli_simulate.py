@@ -1,7 +1,5 @@
 """What `sarsplat simulate` makes of its options."""
 
-from __future__ import annotations
-
 import math
 import sys
 from dataclasses import replace
@@ -13,15 +11,12 @@ import pytest
 import trimesh
 
 from made import FEW_POINTS, terrain, write_geotiff
-from sarsplat import Run, preset, reconstruct
+from sarsplat import Run, SarsplatError, View, paper_views, preset, reconstruct
 from sarsplat.cli import main
 from sarsplat.cli.arguments import angles, views_from
 from sarsplat.cli.simulation_options import TestViews, Views
 from sarsplat.data import Dataset, read_dataset, read_masks
-from sarsplat.errors import SarsplatError
-from sarsplat.geometry import View
 from sarsplat.geometry.responses import GAUSSIAN, TAYLOR
-from sarsplat.scenes import paper_views
 
 PAPER_TEST = [(view, split) for view, split in paper_views() if split == "test"]
 
@@ -121,7 +116,7 @@ def test_a_mesh_is_scaled_and_its_rays_are_recorded(box: Path) -> None:
         ("--scale 0.001 --ray-spacing 0.2", "rays 0.2 m apart miss what pixels of 0.3 m show"),
     ],
 )
-def test_what_the_images_cannot_show_is_warned_of(
+def test_warnings_of_what_images_cannot_show(
     box: Path, words: str, told: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     simulated(box, words)

@@ -1,7 +1,5 @@
 """`kill -9` at random moments: the output is the old one, the new one or absent, and the next command works."""
 
-from __future__ import annotations
-
 import os
 import random
 import shutil

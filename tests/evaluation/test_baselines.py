@@ -1,10 +1,18 @@
+"""Scores for comparison, and what images leave open: the inside of a uniform roof, not its edges."""
+
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from scipy.ndimage import uniform_filter
 
-from made import dataset_of
+from made import FEW_POINTS, dataset_of
+from sarsplat import Gaussians, Harmonics, ImageGrid, Run, Stack, View, import_mstar, radar_frame, render
+from sarsplat.data import Dataset, DatasetEntry
 from sarsplat.evaluation import (
     baseline_scores,
     log_correlation,
@@ -14,8 +22,11 @@ from sarsplat.evaluation import (
     registered_log_correlation,
     rotated_average,
 )
-from sarsplat.geometry import ImageGrid, View, radar_frame
-from sarsplat.importers import import_mstar
+from sarsplat.evaluation.capon import capon_points
+from sarsplat.evaluation.images import UndefinedScore
+from sarsplat.evaluation.left_open import places, undetermined
+from sarsplat.learning import batching
+from sarsplat.learning.model import SceneModel
 
 MSTAR = Path(__file__).resolve().parents[3] / "shared" / "data" / "mstar"
 GRID = ImageGrid(81, 81, (0.2, 0.21), (0.3, 0.3))
@@ -116,3 +127,91 @@ def test_zeros_of_measured_power_leave_a_score_null_with_its_reason():
     reasons.clear()
     assert baseline_scores(dataset, reasons)["test-17"]["nearest_chip"]["nats_per_pixel"] is not None
     assert not reasons
+
+
+# ---- Capon's method --------------------------------------------------------------------------------------------------
+STACKED = ImageGrid(9, 9, (0.3, 0.3), (0.3, 0.3))
+VIEW = View(0.0, 45.0)
+STACK = Stack(0.031, tuple(np.linspace(0, 0.008, 5)))
+
+
+@pytest.mark.parametrize("background", [0.0, 1e-5])
+def test_a_scatterer_is_found_and_dark_pixels_have_no_points(background: float) -> None:
+    """Without noise, pixels beside the scatterer hold nothing, or rounding."""
+    height_m = 1.5
+    phases = STACK.elevation_numbers(VIEW) * (height_m / VIEW.look.height_per_elevation)
+    signal = np.full((1, 5, 9, 9), background, np.complex64) * np.exp(1j * STACK.plane_phases(VIEW, STACKED))[None]
+    signal[0, :, 4, 4] = 3 * np.exp(1j * (STACK.plane_phases(VIEW, STACKED)[:, 4, 4] + phases))
+    entry = DatasetEntry(VIEW, "train", "v0", stack=STACK)
+    points = capon_points(Dataset.of_complex(STACKED, (entry,), signal.astype(np.complex64)), -1.0, 4.0)
+    assert np.isfinite(points).all()
+    assert 1 <= len(points) <= 9  # what 3 × 3 pixels average
+    np.testing.assert_allclose(points[:, 2], height_m, atol=0.1)
+
+
+# ---- what images leave open ------------------------------------------------------------------------------------------
+ROOF = ImageGrid(64, 64, (0.3, 0.3), (0.3, 0.3))
+VIEWS = [View(azimuth, grazing) for grazing in (35.0, 50.0) for azimuth in range(0, 360, 60)]
+WIDE_M, HEIGHT_M = 10.0, 2.0
+
+
+def plate(texture: float) -> Gaussians:
+    """A level square of thin Gaussians, whose γ⁰ changes by a factor from cell to cell."""
+    places = np.stack(np.meshgrid(*[np.arange(-WIDE_M / 2, WIDE_M / 2, 0.15)] * 2), axis=-1).reshape(-1, 2)
+    count = len(places)
+    chance = np.random.default_rng(0).choice([1.0, texture], (70, 70))
+    gamma0 = chance[tuple(((places + WIDE_M / 2) / 0.9).astype(int).T)]
+    return Gaussians(
+        means=torch.tensor(np.column_stack([places, np.full(count, HEIGHT_M)]), dtype=torch.float32),
+        quaternions=torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(count, 1),
+        scales=torch.tensor([[0.15, 0.15, 0.02]]).repeat(count, 1),
+        optical_depth=torch.full((count,), 2.0),
+        scattering=Harmonics(torch.tensor(gamma0[:, None], dtype=torch.float32)),
+    )
+
+
+def run_of(gaussians: Gaussians, noise: float) -> Run:
+    images = render(gaussians, VIEWS, ROOF).channel(0).numpy() ** 0.5
+    images = (images + noise * images.max() * np.random.default_rng(1).normal(size=images.shape)) ** 2
+    dataset = dataset_of(ROOF, [(view, "train") for view in VIEWS], images.astype(np.float32))
+    run = Run.from_gaussians(gaussians, dataset=dataset)
+    return replace(run, config=replace(run.config, points=FEW_POINTS))
+
+
+def shares(texture: float, noise: float = 0.02) -> tuple[float, float]:
+    """What is open of the inside, and near the edges."""
+    where, left_open = places(run_of(plate(texture), noise))
+    to_edge, above = WIDE_M / 2 - np.abs(where[:, :2]).max(axis=1), where[:, 2] > HEIGHT_M - 0.1
+    return left_open[above & (to_edge > 2)].mean(), left_open[above & (to_edge < 0.5)].mean()
+
+
+def test_the_inside_of_a_uniform_roof_is_open_and_its_edges_are_not() -> None:
+    inside, edges = shares(texture=1.0)
+    assert inside > 0.8
+    assert edges < 0.1
+
+
+def test_texture_determines_unless_noise_hides_it() -> None:
+    assert shares(texture=100.0)[0] < 0.2
+    assert shares(texture=100.0, noise=2.0)[0] > 0.8
+
+
+def test_large_views_are_looked_at_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    run, render, views = run_of(plate(1.0), 0.02), SceneModel.render, list[int]()
+    usual = places(run)[1]
+
+    def counted(model: SceneModel, some: Sequence[View], *given: Any, **named: Any) -> Any:
+        views.append(len(some))
+        return render(model, some, *given, **named)
+
+    monkeypatch.setattr(SceneModel, "render", counted)
+    monkeypatch.setattr(batching, "_STEP_GIB", 1e-9)
+    assert np.mean(places(run)[1] == usual) > 0.99
+    assert {*views} == {1}
+
+
+def test_without_images_it_is_not_known() -> None:
+    dataset = dataset_of(ROOF, [(VIEWS[0], "test")], np.ones((1, 64, 64), np.float32))
+    run = run_of(plate(1.0), 0.02)
+    with pytest.raises(UndefinedScore, match="no training images"):
+        undetermined(replace(run, images=dataset))

@@ -10,15 +10,13 @@ import pytest
 
 from made import dataset_of
 from programs import elsewhere
-from sarsplat.data import Dataset, write_dataset
+from sarsplat import Dataset, ImageGrid, Run, SarsplatError, SarsplatWarning, View, evaluate_run, write_dataset
 from sarsplat.data.folders import only_writer
-from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.evaluation import (
     IMAGE_METRICS,
     MASK_METRICS,
     Yardstick,
     all_metrics,
-    evaluate_run,
     log_correlation,
     metrics_of_points,
     nats_per_pixel,
@@ -26,8 +24,6 @@ from sarsplat.evaluation import (
     register,
 )
 from sarsplat.evaluation.lpips import WEIGHTS_VARIABLE
-from sarsplat.geometry import ImageGrid, View
-from sarsplat.runs import Run
 from sarsplat.runs.run_folder import InMemory, RunFolder
 
 trimesh = pytest.importorskip("trimesh")

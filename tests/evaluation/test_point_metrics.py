@@ -1,11 +1,18 @@
+"""Scores of points against a known surface: alignment, distances, and objects that points lack."""
+
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import torch
 from scipy.spatial import cKDTree
 
-from sarsplat import ImageGrid, View
-from sarsplat.errors import SarsplatError
+from made import FEW_POINTS, dataset_of
+from sarsplat import Gaussians, Harmonics, ImageGrid, Run, SarsplatError, View, render
 from sarsplat.evaluation import Yardstick, all_metrics, metrics_of_points, point_metrics, visible_surface
-from sarsplat.evaluation.points import first_of_voxels, surface_distance
+from sarsplat.evaluation.left_open import _middles, missing
+from sarsplat.evaluation.points import Alignment, align, first_of_voxels, surface_distance
+from sarsplat.runs.run_folder import left_open
 
 trimesh = pytest.importorskip("trimesh")
 
@@ -185,3 +192,95 @@ def test_a_larger_scene_has_the_same_scores_in_cells(factor: float) -> None:
         return [*lengths, *angles, of_all["cd_squared_m2"] / factor**2, of_all[f"f1{cell}"], of_all["count"]]
 
     assert scored(factor) == pytest.approx(scored(1.0), rel=1e-3)
+
+
+# ---- points brought onto a known surface by a small rigid motion -----------------------------------------------------
+def surface(seed: int, count: int = 600) -> np.ndarray:
+    """Samples of a stepped block without symmetry."""
+    parts = [trimesh.creation.box(bounds=[[-1.2, -1.4, 0], [1.2, 1.4, 0.5]])]
+    parts += [trimesh.creation.box(bounds=[[-1.0, 0.1, 0.5], [0.3, 1.2, 1.5]])]
+    return trimesh.sample.sample_surface(trimesh.util.concatenate(parts), count, seed=seed)[0]
+
+
+@pytest.mark.parametrize(("shift", "heading"), [((0, 0, 0), 0), ((0.5, -0.4, 0.1), 3), ((-0.7, 0.2, -0.2), -4)])
+def test_it_undoes_a_motion(shift: tuple[float, float, float], heading: float) -> None:
+    truth = Alignment(shift, heading, 0.9)
+    moved = surface(0) - np.array(shift)
+    turned = Alignment((0, 0, 0), -heading, 0.9).moved(moved)  # what `truth` brings back
+    motion = align(turned + np.random.default_rng(0).normal(0, 0.03, turned.shape), surface(1), 0.3)
+    np.testing.assert_allclose(motion.shift_m, truth.shift_m, atol=0.03)
+    assert motion.heading_deg == pytest.approx(heading, abs=0.7)
+    assert not motion.at_limit
+    assert str(motion).startswith("moved by ")
+
+
+def test_it_goes_no_farther_than_it_may() -> None:
+    motion = align(surface(0) + np.array([2.0, 0, 0]), surface(1), 0.3)
+    assert motion.shift_m[0] == pytest.approx(-0.9, abs=0.02)
+    assert motion.at_limit
+    assert [Alignment((0, 0, 0), turn, 0.9).at_limit for turn in (-5.0, 4.0)] == [True, False]
+
+
+def test_it_grows_with_the_cell() -> None:
+    small, large = (
+        align(surface(0) + np.array([0.3, 0, 0]), surface(1), 0.3),
+        align(10 * surface(0) + np.array([3, 0, 0]), 10 * surface(1), 3),
+    )
+    np.testing.assert_allclose(large.shift_m, 10 * np.array(small.shift_m), atol=0.1)
+
+
+def test_strays_do_not_pull() -> None:
+    strays = np.random.default_rng(0).uniform(3, 6, (600, 3))
+    motion = align(np.concatenate([surface(0), strays]), surface(1), 0.3)
+    np.testing.assert_allclose(motion.shift_m, 0, atol=0.03)
+
+
+def test_what_is_aloft_is_turned_about_all_axes() -> None:
+    rotation = pytest.importorskip("scipy.spatial.transform").Rotation
+    for axis, name in enumerate("xyz"):
+        about = rotation.from_euler(name, 4.0, degrees=True).apply(surface(0))
+        turns = np.zeros(3)
+        turns[axis] = 4.0
+        np.testing.assert_allclose(Alignment((0, 0, 0), turns[2], tilts_deg=tuple(turns[:2])).moved(surface(0)), about)
+    turned = rotation.from_rotvec([2.5, -3.0, 2.0], degrees=True).apply(surface(0)) + np.array([0.1, 0.2, -0.1])
+    motion, level = (align(turned, surface(1), 0.3, aloft=aloft) for aloft in (True, False))
+    assert level.tilts_deg == (0.0, 0.0)
+    left = rotation.from_euler("xyz", [*motion.tilts_deg, motion.heading_deg], degrees=True)
+    assert np.degrees((left * rotation.from_rotvec([2.5, -3.0, 2.0], degrees=True)).magnitude()) < 1.0
+    assert "about x and y by" in str(motion) and "about x and y by" not in str(level)
+    assert Alignment((0, 0, 0), 0.0, 0.9, (0.0, 5.0)).at_limit
+
+
+# ---- objects that images show and points lack ------------------------------------------------------------------------
+GRID = ImageGrid(64, 48, (0.25, 0.3), (0.25, 0.3))
+VIEWS = [View(azimuth, grazing) for grazing in (35.0, 50.0) for azimuth in range(0, 360, 40)]
+BALLS = torch.tensor([[-3.0, 0.0, 1.0], [3.0, 1.0, 2.0]])
+
+
+def test_an_object_without_points_is_named_where_it_stands() -> None:
+    gaussians = Gaussians(
+        means=BALLS,
+        quaternions=torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(2, 1),
+        scales=torch.full((2, 3), 0.4),
+        optical_depth=torch.full((2,), 3.0),
+        scattering=Harmonics(torch.tensor([[1.0], [0.5]])),
+    )
+    images = render(gaussians, VIEWS, GRID).channel(0).numpy()
+    speckled = images * np.random.default_rng(0).gamma(4.0, 0.25, images.shape).astype(np.float32)
+    run = Run.from_gaussians(gaussians, dataset=dataset_of(GRID, [(view, "train") for view in VIEWS], speckled))
+    run = replace(run, config=replace(run.config, points=FEW_POINTS))
+    assert len(missing(run)) == 0
+    vars(run)["points"] = run.points[run.points[:, 0] < 0]
+    places = missing(run)
+    assert len(places) == 1 and np.linalg.norm(places[0] - BALLS[1].numpy()) < 1.0
+    assert "1 place" in left_open({"missing": places.tolist()})["missing"]
+
+
+def test_patches_connected_at_half_the_level_are_one_object() -> None:
+    excess_db = np.zeros((3, 9, 20))
+    excess_db[1, 4, 2:9] = 2.0
+    excess_db[1, 4, [2, 8]] = 4.0
+    excess_db[1, 4, 14] = 5.0
+    excess_db[1, 7, 14:18] = 2.5  # faint everywhere
+    assert _middles(excess_db, 3.0).tolist() == [[1, 4, 14], [1, 4, 5]]
+    assert _middles(excess_db, 6.0).shape == (0, 3)

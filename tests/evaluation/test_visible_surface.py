@@ -1,9 +1,7 @@
 import numpy as np
 import pytest
 
-from sarsplat.errors import SarsplatError
-from sarsplat.evaluation import visible_surface
-from sarsplat.geometry import View
+from sarsplat import SarsplatError, View, visible_surface
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("embreex")

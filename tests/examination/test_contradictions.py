@@ -1,7 +1,5 @@
 """Images that contradict what a dataset says of them are found; those that do not, pass."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Iterable
@@ -14,15 +12,12 @@ import numpy as np
 import pytest
 
 from made import dataset_of, lorry
-from sarsplat import ScatteringLaw, add_speckle, simulate_raycast
+from sarsplat import Dataset, ImageGrid, ScatteringLaw, View, add_speckle, examine, simulate_raycast, write_dataset
 from sarsplat.cli import main
-from sarsplat.data import Dataset, write_dataset
 from sarsplat.data.orientation import SIDES, Layout, oriented
-from sarsplat.examination.contradictions import examine
 from sarsplat.examination.orientation import edge_sides
 from sarsplat.examination.significance import Evidence
 from sarsplat.examination.units import clutter, contrast_of
-from sarsplat.geometry import ImageGrid, View
 from sarsplat.regions.outlines import Outline, levels_db, outline
 
 trimesh = pytest.importorskip("trimesh")
@@ -125,9 +120,7 @@ def test_every_orientation_is_recovered(bare: Dataset, grounded: Dataset, seen: 
                 assert f"import with {right}" in said
 
 
-def test_an_import_names_the_options_that_mend_it(
-    grounded: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_import_names_the_remedy(grounded: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Of a radar that looks to the left."""
     dataset = speckled(grounded, 1, 0)
     table = ["file,azimuth,grazing,look"]

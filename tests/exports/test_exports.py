@@ -10,13 +10,9 @@ import torch
 import trimesh
 
 from made import FEW_POINTS
-from sarsplat import Dataset, Place, View
-from sarsplat.data import read_gaussians_ply
-from sarsplat.errors import SarsplatError
+from sarsplat import Dataset, Place, SarsplatError, View, load_mesh, preset, read_gaussians_ply
 from sarsplat.exports import FORMATS, export, format_of
 from sarsplat.runs import METHODS, Run, reconstruct
-from sarsplat.scenes import load_mesh
-from sarsplat.settings import preset
 
 
 @pytest.fixture(scope="module")
@@ -128,9 +124,7 @@ def test_errors_on_unknown_endings_list_the_valid_ones(tmp_path: Path) -> None:
     for name in ("a.3ds", "a", "a.PLYX"):
         with pytest.raises(SarsplatError, match=rf"not a valid name for an export; .* ends in {endings}"):
             format_of(Path(name))
-    with pytest.raises(
-        SarsplatError, match=r"not a valid name for gaussians; choose one that ends in \.ply or \.splat"
-    ):
+    with pytest.raises(SarsplatError, match=r"not a valid name for gaussians; choose one that ends in \.ply or"):
         format_of(Path("a.glb"), "gaussians")
     assert format_of(Path("A.PLY"))[1] == "gaussians"
 

@@ -1,7 +1,5 @@
 """Exports of a run that knows where on earth it is, read back by programs that are not ours."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -11,9 +9,8 @@ import numpy as np
 import pytest
 
 from made import upright
-from sarsplat import Place, Run, SarsplatError, SarsplatWarning, View, write_gaussians_ply
+from sarsplat import Place, Run, SarsplatError, SarsplatWarning, View, export, write_gaussians_ply
 from sarsplat.cli import main
-from sarsplat.exports import export
 from sarsplat.exports.format_geojson import rings_of
 from sarsplat.exports.georeference import MapSystem, usual_system, write_place
 
@@ -115,7 +112,7 @@ def test_heights_above_the_sea_are_not_said_to_be_ellipsoidal(anywhere: Run, tmp
         ("a.las", Place(40.0, 10.0, 5.0), {"crs": "EPSG:26718"}, r"nothing that is installed .* 40\.0000°, 10\.0000°"),
     ],
 )
-def test_what_cannot_be_placed_is_refused(
+def test_places_refused(
     anywhere: Run, tmp_path: Path, name: str, place: Place | None, given: dict[str, Any], why: str
 ) -> None:
     pytest.importorskip("pyproj")

@@ -1,7 +1,5 @@
 """A corner reflector in SICDs comes out of a LAS file where the SICDs' own projection has it."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
@@ -21,9 +19,7 @@ import sarkit.wgs84
 from sarkit.sicd import projection
 
 from made import upright
-from sarsplat import Dataset, Run, SarsplatWarning, View, preset, reconstruct
-from sarsplat.exports import export
-from sarsplat.importers import import_sicd
+from sarsplat import Dataset, Run, SarsplatWarning, View, export, import_sicd, preset, reconstruct
 from sarsplat.importers.sicd_file import read_sicd
 from sicds import SPOT, Recording, Track, axes, ecef, write_sicd
 

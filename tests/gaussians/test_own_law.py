@@ -11,12 +11,9 @@ import torch
 from torch import Tensor
 
 from made import FEW_POINTS
-from sarsplat import Run, preset, reconstruct
+from sarsplat import ImageGrid, Run, SarsplatError, View, preset, reconstruct, render
 from sarsplat.data import Dataset, read_gaussians_ply, write_gaussians_ply
-from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import SCATTERINGS, Gaussians, Harmonics, Scattering, register_scattering
-from sarsplat.geometry import ImageGrid, View
-from sarsplat.renderer import render
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,5 @@
 """What is refused of directions, places, views, grids, stacks and rotations."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 
@@ -9,11 +7,8 @@ import numpy as np
 import pytest
 
 from refusals import Do, Refusals
-from sarsplat import ImageGrid, Place, RayGrid, Stack, Terrain, Turn, View
-from sarsplat.data import DatasetEntry
-from sarsplat.errors import SarsplatError
+from sarsplat import DatasetEntry, ImageGrid, Place, RayGrid, SarsplatError, ScatteringLaw, Stack, Terrain, Turn, View
 from sarsplat.samples.encoding import Encoding
-from sarsplat.scenes import ScatteringLaw
 
 TURN, PLACE = Turn((0, 0, 1), 5.0), Place(1.0, 2.0, 3.0)
 NONE: list[object] = [

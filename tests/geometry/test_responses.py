@@ -6,8 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from sarsplat.errors import SarsplatError
-from sarsplat.geometry import ImageGrid
+from sarsplat import ImageGrid, SarsplatError
 from sarsplat.geometry.responses import GAUSSIAN, RESPONSES, TAYLOR, UNIFORM, Sampled, Taylor, response_of, variance_of
 
 TRIANGLE = Sampled((0, 1, 2, 3, 4), (8, 6, 3, 0, 0))  # half its peak at 1 + 2/3

@@ -1,21 +1,32 @@
-"""The ground of a model: its level, its texture and its law of the grazing angle are those of the images."""
+"""Ground and law of a model are those of the images: level, texture, second bounce, and the law of scattering."""
 
-from __future__ import annotations
-
+import math
 import re
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
 import torch
 
-from made import dataset_of, upright
-from made_runs import trained
-from sarsplat import Dataset, Ground, Trainer, preset, reconstruct
-from sarsplat.gaussians import Gaussians, Harmonics
-from sarsplat.geometry import ImageGrid, Terrain, View
-from sarsplat.renderer import render
-from sarsplat.settings.sections import FlatGround
+from made import FEW_POINTS, dataset_of, hill, upright
+from made_runs import assert_same, trained
+from sarsplat import Run, SarsplatError, ScatteringLaw, Trainer, View, preset, reconstruct, render, simulate_raycast
+from sarsplat.data import Dataset
+from sarsplat.gaussians import SCATTERINGS, Gaussians, Ground, Harmonics, NormalLobes, register_scattering
+from sarsplat.geometry import ImageGrid, RayGrid, Terrain
+from sarsplat.learning.method import Inputs
+from sarsplat.learning.model import SceneModel
+from sarsplat.learning.observations.single_images import PartsOfImages, SingleImages
+from sarsplat.learning.observations.stacks import Stacks
+from sarsplat.learning.snapshot import Snapshot
+from sarsplat.radar import Pixel
+from sarsplat.renderer import GroundBounce
+from sarsplat.report.page import _run_facts
+from sarsplat.settings import Config
+from sarsplat.settings.sections import Bounce, FlatGround
+from sarsplat.viewer.subject import training_subject
 
 GRID = ImageGrid(48, 48, (0.3, 0.3), (0.3, 0.3))
 SHORT = replace(preset("default"), iterations=150, gaussians=150, ground=FlatGround())
@@ -92,3 +103,196 @@ def test_places_are_as_far_apart_as_cells_and_scene_say() -> None:
     dense = Trainer(dataset, replace(SHORT, ground=FlatGround(pitch=0.01))).model.ground()
     assert len(dense.gamma0) <= 515
     assert dense.pitch_m == pytest.approx(2 * radius_m / 512, rel=0.2)
+
+
+# ---- the second bounce by way of the ground --------------------------------------------------------------------------
+FINE = ImageGrid(36, 36, (0.3, 0.3), (0.3, 0.3))
+VIEWS = [View(45.0 * k + 10.0, (20.0, 40.0, 60.0)[k % 3]) for k in range(8)]
+BOUNCING = replace(
+    preset("default"),
+    iterations=120,
+    gaussians=150,
+    coarsest=1,
+    harmonics_every=10,
+    points=FEW_POINTS,
+    ground=FlatGround(pitch=0.0),
+    bounce=Bounce(),
+)
+
+
+def mirrored_by(reflectivity: float) -> Dataset:
+    """A block of 2 × 1 × 1.2 m with a mirror below."""
+    steps = [np.arange(low, high, 0.2) + 0.1 for low, high in ((-1, 1), (-0.5, 0.5), (0, 1.2))]
+    means = np.stack(np.meshgrid(*steps), -1).reshape(-1, 3)
+    block = upright(means, [0.1, 0.11, 0.12], 2.0, NormalLobes.initial(len(means), 0.5, 0.05))
+    ground = Ground(torch.tensor(0.05))
+    with torch.no_grad():
+        bounce = GroundBounce(ground, torch.tensor(reflectivity))
+        images = render(block, VIEWS, FINE, ground=ground, echoes=[bounce]).channel(0).numpy()
+    return dataset_of(FINE, [(view, "train") for view in VIEWS], images, ground=True)
+
+
+@pytest.fixture(scope="module")
+def mirrored() -> Dataset:
+    return mirrored_by(0.8)
+
+
+def reflectivity(model: SceneModel) -> float:
+    return float(model.parameters["ground_reflectivity"].detach())
+
+
+def test_how_much_is_reflected_follows_the_images_once_there_is_a_shape(mirrored: Dataset) -> None:
+    quick = replace(BOUNCING, iterations=60, law_from=0.5, rates=replace(BOUNCING.rates, nuisance=0.03))
+    bare, mirror = (trained(dataset, quick, 60).model for dataset in (mirrored_by(0.0), mirrored))
+    assert reflectivity(bare) < 0.1
+    assert reflectivity(mirror) > 0.4
+    assert reflectivity(trained(mirrored, replace(quick, iterations=15, law_from=1.0), 15).model) == pytest.approx(0.3)
+    shares = mirror.power_by_echo(3)
+    assert sum(shares.values()) == pytest.approx(1.0)
+    assert list(shares) == ["target", "ground", "by way of the ground"]
+    assert 0.05 < shares["by way of the ground"] < 0.5
+
+
+def test_runs_keep_it_and_go_on_with_the_same_bits(mirrored: Dataset, tmp_path: Path) -> None:
+    short = replace(BOUNCING, iterations=30, law_from=0.0)
+    trained(mirrored, short, 12).snapshot(0.0).save(tmp_path / "checkpoint")
+    resumed = trained(mirrored, short, 3, Snapshot.load(tmp_path / "checkpoint"))
+    assert_same(trained(mirrored, short, 15).snapshot(0.0), resumed.snapshot(0.0))
+    assert reflectivity(resumed.model) != pytest.approx(0.3)
+
+    whole = reconstruct(mirrored, short, out=tmp_path / "whole", quiet=True)
+    kept = Run.load(tmp_path / "whole")
+    images = kept.render(VIEWS[:1])
+    assert np.array_equal(images, whole.render(VIEWS[:1]))
+    assert kept.model is not None
+    assert kept.facts["second bounce"].endswith(f"reflects {reflectivity(kept.model):.3g} of the power")
+    assert _run_facts(kept)["power"].startswith("target ")
+    model, rays = kept.model, RayGrid.for_image(FINE, 4.0)  # those of a run's images
+    with torch.no_grad():
+        direct = render(model.scene(3), VIEWS[:1], FINE, rays=rays, ground=model.ground())
+        bounced = render(model.scene(3), VIEWS[:1], FINE, rays=rays, ground=model.ground(), echoes=model.echoes())
+    assert np.allclose(bounced.channel(0).numpy(), images, rtol=1e-5)
+    assert images.sum() > direct.channel(0).sum() * 1.01
+
+
+def test_samples_have_it(mirrored: Dataset) -> None:
+    run = reconstruct(mirrored, replace(BOUNCING, iterations=20, loss="speckle"), quiet=True)
+    sample = np.abs(run.sample(VIEWS[0], seed=0, speckle="none")) ** 2
+    assert np.allclose(sample, run.render(VIEWS[:1])[0], rtol=0.05, atol=1e-3 * sample.max())
+    assert run.model is not None
+    with torch.no_grad():
+        without = render(run.model.scene(3), VIEWS[:1], FINE, ground=run.model.ground()).channel(0)
+    assert sample.sum() > float(without.sum()) * 1.01
+
+
+def test_the_viewer_tells_whose_foot_is_in_a_pixel(mirrored: Dataset) -> None:
+    trainer = trained(mirrored, replace(BOUNCING, iterations=60), 60)
+    subject = training_subject(mirrored, trainer)
+    (echo,) = trainer.model.echoes()
+    with torch.no_grad():
+        bounced = render(trainer.model.scene(3), VIEWS[:1], FINE, ground=trainer.model.ground(), echoes=[echo]).echoes[
+            1
+        ][0]
+    row, column = np.unravel_index(int(bounced.argmax()), bounced.shape)
+    found = subject.contributors(VIEWS[0], Pixel(int(row), int(column)))
+    assert found is not None
+    assert 0.1 < found.by_ground_share < 1
+    assert np.array_equal(subject.render(VIEWS[0], ground=False), subject.render(VIEWS[0], ground=False, shadow=False))
+
+
+def test_what_it_cannot_be_combined_with_is_refused(mirrored: Dataset) -> None:
+    with pytest.raises(SarsplatError, match="bounce is on, but needs ground, which is off; switch ground on"):
+        replace(BOUNCING, ground=None)
+    assert Stacks.goes_with["ground"] is None  # without which there is no bounce
+    with pytest.raises(SarsplatError, match="bounce is on, which needs level ground"):
+        SingleImages.refuse(BOUNCING, replace(mirrored, terrain=hill()), Inputs())
+    with pytest.raises(SarsplatError, match="bounce is on, which cannot be combined with tiles 2; give off, or"):
+        PartsOfImages.refuse(replace(BOUNCING, tiles=2), mirrored, Inputs())
+
+
+# ---- the law of scattering that all Gaussians of a training have in common -------------------------------------------
+AROUND = [View(azimuth, grazing) for azimuth in range(0, 360, 45) for grazing in (20.0, 45.0, 70.0)]
+
+
+def slanted(dataset: Dataset, exponent: float) -> Dataset:
+    """A slanted box whose γ⁰ follows that power of the cosine."""
+    trimesh = pytest.importorskip("trimesh")
+    pytest.importorskip("embreex")
+    mesh = trimesh.creation.box((3.0, 2.0, 1.2))
+    mesh.apply_transform(trimesh.transformations.rotation_matrix(0.3, (1, 1, 0)))
+    mesh.apply_translation([0, 0, 1.2])
+    law = ScatteringLaw(0.1, 0.9, exponent)
+    images = np.stack([simulate_raycast(mesh, view, dataset.grid, law) for view in AROUND])
+    return dataset_of(dataset.grid, [(view, "train") for view in AROUND], images, source={"kind": "raycast"})
+
+
+def exponents(run: Run) -> torch.Tensor:
+    law = run.gaussians.scattering
+    assert isinstance(law, NormalLobes)
+    return law.parameters[:, 2].exp()
+
+
+def test_the_exponent_follows_the_images_and_is_one_for_all(dataset: Dataset, config: Config) -> None:
+    longer = replace(config, iterations=130)
+    narrow, wide = (exponents(reconstruct(slanted(dataset, e), longer, quiet=True)) for e in (8.0, 2.0))
+    assert narrow.unique().numel() == wide.unique().numel() == 1
+    assert narrow[0] > 4.5
+    assert 1.4 < wide[0] < 3.5
+
+
+def test_a_heavy_penalty_keeps_it(dataset: Dataset, config: Config) -> None:
+    kept = exponents(reconstruct(slanted(dataset, 8.0), replace(config, law_penalty=100.0), quiet=True))
+    assert float(kept[0]) == pytest.approx(2.0, rel=0.05)
+
+
+@pytest.mark.parametrize("loss", ["speckle", "amplitude"])
+def test_penalties_are_in_nats_beside_a_likelihood(dataset: Dataset, config: Config, loss: str) -> None:
+    """Otherwise in units of the loss of black images."""
+    trainer = Trainer(dataset, replace(config, loss=loss))
+    with torch.no_grad():
+        trainer.model.parameters["scattering"][::2] += 1.0
+    expected = {name: value.item() for name, value in trainer.model.penalties().items()}
+    trainer.step()
+    found = {name: trainer.terms[name].item() for name in expected}
+    assert expected["scattering penalty"] > 0
+    if loss == "speckle":
+        assert found == pytest.approx(expected, rel=1e-6)
+    else:
+        assert found["scattering penalty"] < 0.1 * expected["scattering penalty"]
+
+
+@dataclass(frozen=True)
+class Tuned(NormalLobes):
+    """Two numbers in common, within ranges of their own."""
+
+    kind: ClassVar[str] = "tuned"
+    common: ClassVar[tuple[tuple[float, float], ...]] = ((-0.01, 0.01), (0.0, math.log(32)))
+
+
+@pytest.fixture
+def tuned(monkeypatch: pytest.MonkeyPatch) -> str:
+    monkeypatch.setattr(SCATTERINGS, "_entries", dict(SCATTERINGS._entries))  # for this test alone
+    register_scattering(Tuned)
+    return Tuned.kind
+
+
+def test_laws_of_ones_own_share_what_they_say(dataset: Dataset, config: Config, tuned: str, tmp_path: Path) -> None:
+    made = reconstruct(dataset, replace(config, scattering=tuned), tmp_path / "run", quiet=True)
+    parameters = made.gaussians.scattering.parameters
+    assert parameters[:, 0].unique().numel() > 1
+    assert parameters[:, 1].unique().numel() == parameters[:, 2].unique().numel() == 1
+    assert abs(float(parameters[0, 1])) <= 0.01
+    assert torch.equal(Run.load(tmp_path / "run").gaussians.scattering.parameters, parameters)
+
+
+def test_a_law_with_nothing_for_each_gaussian(
+    dataset: Dataset, config: Config, tuned: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Tuned, "common", ((0.0, 1.0),) * 3)
+    with pytest.raises(SarsplatError, match="with K above the 3 ranges of Tuned"):
+        reconstruct(dataset, replace(config, scattering=tuned), quiet=True)
+
+
+def test_each_gaussian_has_an_exponent_of_its_own_if_asked_for(dataset: Dataset, config: Config) -> None:
+    found = exponents(reconstruct(dataset, replace(config, common_law=False), quiet=True))
+    assert found.unique().numel() > 100

@@ -1,27 +1,26 @@
-"""Coarse to fine: which images a training looks at, what they show, and where Gaussians become more."""
-
-from __future__ import annotations
+"""Coarse to fine: which images a training looks at, and that nothing suits one size of target alone."""
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
+from scipy.spatial import cKDTree
 
 from made import dataset_of, upright
 from made_runs import assert_same, trained
-from sarsplat import Dataset, Gaussians, ImageGrid, View, preset
-from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import NormalLobes
+from sarsplat import Config, Dataset, Gaussians, ImageGrid, RayGrid, Run, SarsplatError, View, preset, reconstruct
+from sarsplat.gaussians import MIN_SCALE, NormalLobes
 from sarsplat.gaussians.initialise import Region
-from sarsplat.geometry import RayGrid
 from sarsplat.learning import Trainer
+from sarsplat.learning.method_sar_gs import lengths
 from sarsplat.learning.parts.target import scales_m
 from sarsplat.learning.scene_frame import Levels, SceneFrame
 from sarsplat.learning.strategies import Info
 from sarsplat.learning.strategies.growth import holding
 from sarsplat.learning.training_images import TrainingImages
 from sarsplat.renderer import render
-from sarsplat.settings import Config
+from sarsplat.settings.sections import Densification, Rates
 
 GRID = ImageGrid(90, 91, (0.5, 0.5), (0.6, 0.5))
 VIEWS = [View(azimuth, grazing) for azimuth, grazing in ((0, 35), (90, 50), (180, 35), (270, 50))]
@@ -43,7 +42,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 
 @pytest.fixture(scope="module")
-def config() -> Config:
+def coarse() -> Config:
     return replace(preset("quick"), iterations=12, gaussians=300, checkpoint_every=10)
 
 
@@ -102,10 +101,10 @@ def test_blocks_are_no_larger_than_the_image() -> None:
         GRID.multilooked(91)
 
 
-def test_a_training_looks_at_finer_images_and_splits_what_they_ask_for(scene: Dataset, config: Config) -> None:
-    trainer, seen = Trainer(scene, config), []
+def test_a_training_looks_at_finer_images_and_splits_what_they_ask_for(scene: Dataset, coarse: Config) -> None:
+    trainer, seen = Trainer(scene, coarse), []
     largest = float(trainer.gaussians.scales.max())
-    for _ in range(config.iterations):
+    for _ in range(coarse.iterations):
         trainer.step()
         seen.append((trainer.images.grid.rows, len(trainer.model)))
     rows, counts = zip(*seen, strict=True)
@@ -114,17 +113,17 @@ def test_a_training_looks_at_finer_images_and_splits_what_they_ask_for(scene: Da
     assert 300 < counts[9] < 600
     assert largest == pytest.approx(0.2 * GRID.multilooked(2).cell_m)
     assert trainer.grid == GRID
-    largest = scales_m(config, GRID.cell_m, 2)[2]
-    assert largest == pytest.approx(config.scale_bounds[1] * GRID.cell_m * 2 ** (1 / 6))  # wider, as the scene is large
+    largest = scales_m(coarse, GRID.cell_m, 2)[2]
+    assert largest == pytest.approx(coarse.scale_bounds[1] * GRID.cell_m * 2 ** (1 / 6))  # wider, as the scene is large
     assert trainer.model.learned["scales"].high == largest
     assert float(trainer.gaussians.scales.max()) <= largest * (1 + 1e-6)
 
 
-def test_a_training_that_stopped_on_any_level_goes_on_the_same(scene: Dataset, config: Config) -> None:
-    whole = trained(scene, config, config.iterations).snapshot(0.0)
+def test_a_training_that_stopped_on_any_level_goes_on_the_same(scene: Dataset, coarse: Config) -> None:
+    whole = trained(scene, coarse, coarse.iterations).snapshot(0.0)
     for stop in (4, 9, 10):
-        stopped = trained(scene, config, stop).snapshot(0.0)
-        assert_same(trained(scene, config, config.iterations - stop, stopped).snapshot(0.0), whole)
+        stopped = trained(scene, coarse, stop).snapshot(0.0)
+        assert_same(trained(scene, coarse, coarse.iterations - stop, stopped).snapshot(0.0), whole)
 
 
 def test_those_that_hold_most_of_the_error_are_the_fewest() -> None:
@@ -134,9 +133,9 @@ def test_those_that_hold_most_of_the_error_are_the_fewest() -> None:
     assert not holding(torch.zeros(3), 0.9).any()
 
 
-def test_those_that_look_wrong_have_the_error(scene: Dataset, config: Config) -> None:
+def test_those_that_look_wrong_have_the_error(scene: Dataset, coarse: Config) -> None:
     truth = plates()
-    trainer = Trainer(scene, replace(config, gaussians=len(truth), coarsest=1))
+    trainer = Trainer(scene, replace(coarse, gaussians=len(truth), coarsest=1))
     parameters = trainer.model.parameters
     with torch.no_grad():
         for name, tensor in truth.tensors().items():
@@ -147,3 +146,66 @@ def test_those_that_look_wrong_have_the_error(scene: Dataset, config: Config) ->
     errors = info.errors()
     assert float(errors[1] / errors.sum()) > 0.95
     assert holding(errors, 0.9).nonzero().tolist() == [[1]]
+
+
+# ---- a scene that is larger or smaller in every length is learned alike ----------------------------------------------
+SHORT = {"iterations": 30, "gaussians": 600, "harmonics_every": 10, "views_per_step": 4}
+DENSITY = Densification(start=5, every=10, gradient=3e-5, max_gaussians=900)
+CONFIGS = {
+    "default": replace(preset("default"), **SHORT, rates=Rates(means=0.067)),  # of longer steps rounding decides more
+    "paper": replace(preset("paper"), **SHORT, densification=DENSITY),
+    "measured": replace(preset("measured"), **SHORT),
+}
+
+
+def times(dataset: Dataset, factor: float, config: Config) -> Dataset:
+    """The same images of a scene that is larger in every length; where it is said to show ground, a box is given."""
+    grid = dataset.grid
+    spacing, resolution = ((pair[0] * factor, pair[1] * factor) for pair in (grid.spacing_m, grid.resolution_m))
+    low, high = (tuple(factor * value for value in corner) for corner in ((-2.0, -1.5, 0.0), (2.0, 1.5, 1.5)))
+    grid = ImageGrid(grid.rows, grid.columns, spacing, resolution)
+    return replace(dataset, grid=grid, target_box_m=(low, high) if config.ground else None, truth_mesh=None)
+
+
+@pytest.fixture(scope="module", params=CONFIGS)
+def original(request: pytest.FixtureRequest, dataset: Dataset) -> Run:
+    return reconstruct(times(dataset, 1.0, CONFIGS[request.param]), CONFIGS[request.param], quiet=True)
+
+
+@pytest.mark.parametrize("factor", [10.0, 1 / 15])
+def test_a_scaled_scene_is_learned_alike(original: Run, dataset: Dataset, factor: float) -> None:
+    scaled = reconstruct(times(dataset, factor, original.config), original.config, quiet=True)
+    assert len(original.gaussians) > 600 or original.config.densification is None
+    assert [line.gaussians for line in scaled.history] == [line.gaussians for line in original.history]
+    losses, expected = (np.array([line.loss for line in run.history]) for run in (scaled, original))
+    np.testing.assert_allclose(losses, expected, rtol=1e-3)
+    # points at the edge of a voxel or of a cluster come and go with rounding
+    assert abs(len(scaled.points) / len(original.points) - 1) < 0.02
+    voxel_m = original.config.points.voxel * original.grid.cell_m
+    off = cKDTree(original.points).query(scaled.points / factor)[0] / voxel_m
+    assert np.median(off) < 0.15
+    assert np.quantile(off, 0.95) < 0.8
+    for name in ("means", "shift") if original.config.surroundings else ("means",):
+        ours, theirs = (run.model.parameters[name].detach() for run in (scaled, original))
+        assert float((ours / factor - theirs).norm() / theirs.norm()) < 0.01, name
+
+
+def test_what_was_chosen_is_told_in_one_line(dataset: Dataset, capsys: pytest.CaptureFixture[str]) -> None:
+    assert lengths(Config(), ImageGrid(8, 8, (3.0, 3.0), (3.0, 3.0))) == (
+        "lengths from 3 m resolution cells: start 0.6 m, sizes 0.2 … 1.5 m, wider in large scenes, "
+        "steps 0.45 → 0.0099 m, rays 1.5, then 0.75 m, voxels 0.15 m"
+    )
+    config = replace(preset("default"), iterations=1, gaussians=20)
+    for quiet in (False, True):
+        reconstruct(dataset, config, quiet=quiet)
+        shown = capsys.readouterr().out.splitlines()
+        assert shown[:1] == ([] if quiet else [lengths(config, dataset.grid)])
+
+
+def test_cells_whose_gaussians_cannot_be_rendered_are_refused(dataset: Dataset) -> None:
+    config = preset("default")
+    assert scales_m(config, 1e-3)[0] == MIN_SCALE  # the floor of the engine
+    with pytest.raises(SarsplatError, match=r"initial_scale makes Gaussians of 3e-05 m from resolution cells of"):
+        reconstruct(times(dataset, 1 / 3000, config), config, quiet=True)
+    with pytest.raises(SarsplatError, match=r"scale_bounds makes Gaussians of 4\.5e\+06 m .* 0\.0001 m to 1e\+06 m"):
+        reconstruct(times(dataset, 10, config), replace(config, scale_bounds=(0.1, 1e6)), quiet=True)

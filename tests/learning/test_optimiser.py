@@ -1,7 +1,5 @@
 """The engines' Adam and the one in plain torch against torch's own, step for step."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Reconstruction from several polarisations: what returns how, with the same bits again, and passes besides."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -10,23 +8,13 @@ import pytest
 import torch
 import trimesh
 
-from sarsplat import (
-    ImageGrid,
-    Mechanisms,
-    Run,
-    SarsplatError,
-    ScatteringLaw,
-    Stack,
-    View,
-    evaluate_run,
-    preset,
-    read_gaussians_ply,
-    reconstruct,
-    simulate_stack,
-    write_report,
-)
+from sarsplat import Stack, View, evaluate_run, preset, read_gaussians_ply, reconstruct, simulate_stack, write_report
 from sarsplat.data import Dataset, DatasetEntry, write_dataset
+from sarsplat.errors import SarsplatError
+from sarsplat.geometry import ImageGrid
 from sarsplat.regions.stack_region import stack_region
+from sarsplat.runs import Run
+from sarsplat.scenes import Mechanisms, ScatteringLaw
 from sarsplat.scenes.mechanisms import MATRICES, POLARISATIONS
 from sarsplat.settings.presets import PRESETS
 

@@ -1,31 +1,25 @@
 """Steps that a GPU makes by itself: the same bits as launch by launch, for as long as what it was told suffices."""
 
-from __future__ import annotations
-
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import nullcontext
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
-from emulated_cuda import Emulator
-from emulated_recorder import EmulatedRecorder
+from emulated_cuda import EmulatedRecorder, Emulator, on_emulated_gpu
 from torch import Tensor
 
 from made import box_dataset, hill
 from made_runs import assert_same
-from sarsplat import Dataset, ImageGrid, preset
-from sarsplat.errors import SarsplatWarning
+from sarsplat import Config, Dataset, ImageGrid, SarsplatWarning, preset
 from sarsplat.learning import Trainer, scene_frame
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.learning.strategies.growth import Relocating
-from sarsplat.renderer.engines import bounds, choice, cuda, cuda_device, on_device
-from sarsplat.settings import Config
+from sarsplat.renderer.engines import bounds, cuda_device
 from sarsplat.settings.sections import Bounce, Densification, FlatGround, Relocation, Smoothing, Surroundings
 
 STEPS = 20
@@ -63,29 +57,16 @@ CONFIGS = {
 }
 
 
-@contextmanager
-def emulated(
-    launcher: Emulator, recorder: Callable[[torch.device], EmulatedRecorder], monkeypatch: pytest.MonkeyPatch
-) -> Iterator[None]:
-    """On the CPU, an emulated GPU with these recorders."""
-    engine = choice.Engine("cpu", lambda *_: partial(cuda.Pass, launcher), takes_bounds=True, recorder=recorder)
-    monkeypatch.setitem(choice.ENGINES, "cuda", engine)
-    monkeypatch.setitem(choice.ENGINES, "cpu", replace(choice.ENGINES["cpu"], device_type="none"))
-    choice._fitting.cache_clear()
-    yield
-    choice._fitting.cache_clear()
-
-
 @pytest.fixture
-def recorder(library: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[EmulatedRecorder]:
+def recorder(library: Path) -> Iterator[EmulatedRecorder]:
     """An emulated GPU that records steps."""
     recorder = EmulatedRecorder(Emulator(library))
-    with emulated(recorder.launcher, lambda _: recorder, monkeypatch):
+    with on_emulated_gpu(recorder.launcher, lambda _: recorder):
         yield recorder
 
 
 @pytest.mark.parametrize("name", CONFIGS)
-def test_steps_run_again_are_steps(
+def test_replayed_steps(
     name: str, dataset: Dataset, recorder: EmulatedRecorder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if name == "levels":  # which a scene so small has not
@@ -115,7 +96,7 @@ def test_steps_run_again_are_steps(
 
 @pytest.mark.parametrize("name", ["ground", "terrain"])
 @pytest.mark.parametrize("views", [2, 12])
-def test_scenes_that_are_too_large_are_learned_launch_by_launch(
+def test_large_scenes_are_not_recorded(
     name: str, views: int, dataset: Dataset, recorder: EmulatedRecorder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where rays stand is read back there, and is not known of views that only the device knows."""
@@ -129,7 +110,7 @@ def test_scenes_that_are_too_large_are_learned_launch_by_launch(
     assert not asked.records
 
 
-def test_steps_with_a_second_bounce_are_made_launch_by_launch(
+def test_second_bounces_are_not_recorded(
     dataset: Dataset, recorder: EmulatedRecorder, caplog: pytest.LogCaptureFixture
 ) -> None:
     """And by the same engine without limits, beyond which mirror images lie."""
@@ -143,9 +124,7 @@ def test_steps_with_a_second_bounce_are_made_launch_by_launch(
     asked.check()
 
 
-def test_steps_in_which_a_strategy_acts_before_gradients_are_not_recorded(
-    dataset: Dataset, recorder: EmulatedRecorder
-) -> None:
+def test_strategies_that_act_before_gradients_are_not_recorded(dataset: Dataset, recorder: EmulatedRecorder) -> None:
     class Watching(Relocating):
         name, seen = "watching", 0
 
@@ -157,7 +136,7 @@ def test_steps_in_which_a_strategy_acts_before_gradients_are_not_recorded(
     assert (trainer.records, watching.seen) == (False, 1)
 
 
-def test_a_record_that_fails_is_warned_of_and_nothing_is_lost(
+def test_a_failed_record_loses_nothing(
     dataset: Dataset, recorder: EmulatedRecorder, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     by_itself, launched = (Trainer(dataset, CONFIGS["quick"]) for _ in range(2))
@@ -179,14 +158,10 @@ TOGETHER = ("default", "quick", "speckled", "measured")
 
 
 @pytest.fixture(params=["emulated GPU", "CPU"])
-def engine(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+def engine(request: pytest.FixtureRequest) -> Iterator[str]:
     """What trains: an emulated GPU, with a queue and recorders for each thread, or the CPU's own engine."""
-    if request.param == "CPU":
-        yield request.param
-        return
-    launcher = Emulator(request.getfixturevalue("library"))
-    monkeypatch.setattr(on_device, "queue_of", lambda device: threading.get_ident())
-    with emulated(launcher, lambda _: EmulatedRecorder(launcher), monkeypatch):
+    gpu = request.param == "emulated GPU"
+    with on_emulated_gpu(Emulator(request.getfixturevalue("library"))) if gpu else nullcontext():
         yield request.param
 
 

@@ -1,7 +1,5 @@
 """Neighbours are drawn into common planes: what is rough becomes flat, what is bent or unseen stays."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -119,7 +117,7 @@ def test_rounds_move_what_is_lit_and_make_it_thinner(dataset: Dataset, monkeypat
 
 
 @pytest.mark.parametrize("count", [1, 3])
-def test_planes_are_the_same_however_many_are_fitted_at_once(
+def test_batches_of_planes_change_nothing(
     count: int, threads: Callable[[int], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     chance = np.random.default_rng(0)

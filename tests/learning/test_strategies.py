@@ -1,7 +1,5 @@
 """A strategy of one's own: it changes rows, remembers what it likes, and is saved and resumed like ours."""
 
-from __future__ import annotations
-
 import runpy
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -14,8 +12,7 @@ from torch import Tensor
 
 from made import small_dataset, upright
 from made_runs import assert_same, trained
-from sarsplat import Dataset, Gaussians, ImageGrid, SarsplatError, preset, reconstruct
-from sarsplat.learning import Trainer
+from sarsplat import Dataset, Gaussians, ImageGrid, SarsplatError, Trainer, preset, reconstruct
 from sarsplat.learning.optimiser import Optimiser
 from sarsplat.learning.parts.part import Learned
 from sarsplat.learning.snapshot import Snapshot
@@ -85,10 +82,7 @@ def test_it_goes_on_as_if_it_had_never_stopped(dataset: Dataset, tmp_path: Path,
 
 def test_a_training_goes_on_only_with_the_strategies_it_was_begun_with(dataset: Dataset) -> None:
     snapshot = restless(dataset, 1)
-    with pytest.raises(
-        SarsplatError,
-        match="begun with the strategies Restless, density, growth, relocation, smoothing, not density, growth, ",
-    ):
+    with pytest.raises(SarsplatError, match="begun with the strategies Restless, density, growth, relocation"):
         Trainer(dataset, CONFIG).restore(snapshot)
     damaged = replace(snapshot, tensors=snapshot.tensors | {"strategy/Restless/dim": torch.zeros(3)})
     with pytest.raises(ValueError, match="dim is torch"):

@@ -1,7 +1,5 @@
 """Training away from the CPU: nothing of a step leaves the device, and the CUDA engine's source learns as the CPU's."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -17,16 +15,12 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
 from made_runs import trained
-from sarsplat import Dataset, ImageGrid, Run, View, preset, reconstruct
-from sarsplat.errors import SarsplatError
+from sarsplat import Config, Dataset, Ground, ImageGrid, Rendering, Run, SarsplatError, View, preset, reconstruct
 from sarsplat.gaussians import Gaussians
-from sarsplat.gaussians.ground import Ground
 from sarsplat.learning import Trainer, losses, model, optimiser
 from sarsplat.learning.parts.target import dropped, share_dropped
-from sarsplat.renderer import Rendering
 from sarsplat.renderer.engines import cuda
 from sarsplat.runs import Step
-from sarsplat.settings import Config
 from sarsplat.settings.sections import Densification, Relocation
 from sarsplat.surface import cells, extract_points, first_returns
 
@@ -85,9 +79,7 @@ class Crossings(TorchDispatchMode):
 
 
 @pytest.mark.parametrize("name", CONFIGS)
-def test_a_step_copies_nothing_to_the_device_or_from_it(
-    name: str, dataset: Dataset, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_step_copies_nothing_to_or_from_it(name: str, dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     """On "meta", whose tensors hold nothing, any look at a number is an error."""
     monkeypatch.setattr(model, "render", render_nothing)
     trainer = Trainer(dataset, replace(CONFIGS[name], relocation=Relocation(rounds=0)), device="meta")
@@ -168,7 +160,7 @@ def train(dataset: Dataset, config: Config, steps: int) -> tuple[Tensor, Trainer
 
 
 @pytest.mark.parametrize(("name", "steps"), [("amplitude", 24), ("ssim", 10), ("density", 10), ("measured", 10)])
-def test_the_cuda_engines_source_learns_as_the_cpus(
+def test_cuda_learns_as_the_cpu(
     name: str, steps: int, dataset: Dataset, library: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its kernels are emulated; SSIM and likelihoods are plain torch."""
@@ -186,7 +178,7 @@ def test_the_cuda_engines_source_learns_as_the_cpus(
 
 
 @pytest.mark.parametrize("name", CONFIGS)
-def test_a_step_of_the_cuda_engine_never_looks_at_a_number(
+def test_a_cuda_step_looks_at_no_number(
     name: str, dataset: Dataset, library: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """On a GPU each look is a wait for the device; the model's bounds say what would have to be asked."""
@@ -212,7 +204,7 @@ def test_a_step_of_the_cuda_engine_never_looks_at_a_number(
     assert looks == ["__int__"]
 
 
-def test_what_goes_wrong_is_told_when_the_log_is_written_and_never_saved(
+def test_what_goes_wrong_is_told_and_not_saved(
     dataset: Dataset, library: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     use_emulated(library, monkeypatch)
@@ -238,7 +230,7 @@ def test_a_snapshot_goes_on_on_another_device(name: str, dataset: Dataset, monke
     assert other.iteration == 2
 
 
-def test_points_of_the_cuda_engines_source_are_the_cpus(
+def test_points_of_cuda_are_the_cpus(
     finished: Run, dataset: Dataset, library: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     views = dataset.select("train").views[:2]

@@ -3,8 +3,6 @@
 With KILL_AT the process kills itself, as `kill -9` does, in the middle of the step after that many.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import sys
@@ -14,9 +12,8 @@ from typing import Any
 
 import torch
 
-from sarsplat import preset, reconstruct
+from sarsplat import Config, preset, reconstruct
 from sarsplat.learning.optimiser import Optimiser
-from sarsplat.settings import Config
 from sarsplat.settings.sections import Densification
 
 DENSITY = Densification(

@@ -6,8 +6,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from sarsplat import View
-from sarsplat.errors import SarsplatError
+from sarsplat import SarsplatError, View
 from sarsplat.radar.layover_shadow import BOTH, FREE, LAYOVER, SHADOW, UNKNOWN, layover_shadow
 
 PITCH = 0.25
@@ -132,7 +131,5 @@ def test_what_does_not_fit_into_memory_is_refused_before_it_begins(monkeypatch: 
             tracemalloc.stop()
         assert peak < needed[0] < 1.5 * peak
     monkeypatch.setattr("sarsplat.memory.free_bytes", lambda: 2**30 / 64)
-    with pytest.raises(
-        SarsplatError, match=r"1000 places takes about 0\..* GiB of memory, and 0\.016 GiB .* cut it in"
-    ):
+    with pytest.raises(SarsplatError, match=r"1000 places takes about 0\..* GiB of memory, and 0\.016 GiB .* cut it"):
         layover_shadow(heights, (1.0, 1.0), View(45, 40))

@@ -7,8 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from sarsplat.gaussians import Gaussians
-from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat import Gaussians, ImageGrid, RayGrid, View
 
 
 def chained(

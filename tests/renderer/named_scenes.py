@@ -8,9 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from sarsplat.gaussians import MIN_SCALE, Gaussians, Harmonics
-from sarsplat.gaussians.ground import Ground
-from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View, radar_frame
+from sarsplat import MIN_SCALE, Gaussians, Ground, Harmonics, ImageGrid, RayGrid, Terrain, View, radar_frame
 from sarsplat.renderer.echoes import GroundEcho
 
 GRID = ImageGrid(20, 24, spacing_m=(0.2, 0.2), resolution_m=(0.3, 0.3))

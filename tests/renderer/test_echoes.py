@@ -1,25 +1,191 @@
-"""An echo of one's own is one class: it is told what a rendering knows, and is added to the images."""
+"""Echoes: by way of the ground against closed forms and the reference, and those of one's own, each one class."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 import pytest
 import torch
-from compared import check_agreement, differentiated
+from compared import check_agreement, check_gradients, differentiated, relative
 from emulated_cuda import Emulator, render_on
-from named_scenes import GRID, VIEWS, cloud
+from named_scenes import CLOUDS, GRID, UNUSUAL, VIEWS, cloud, wall, with_scales
+from test_cpu_engine import AVAILABLE
 from torch import Tensor
 
-from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import Gaussians
-from sarsplat.gaussians.ground import Ground
-from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.renderer import Footprints, project, render, splat
+from sarsplat import Gaussians, Ground, ImageGrid, RayGrid, SarsplatError, View
+from sarsplat.renderer import Footprints, GroundBounce, Rendering, project, render, splat
 from sarsplat.renderer.echoes import Echo, Sighting
+from sarsplat.renderer.echoes.bounce import lit_both_ways
+from sarsplat.renderer.engines.choice import passes_for
+from sarsplat.renderer.operations import Steps
+from sarsplat.renderer.reference import pressed_flat_reference, render_reference
+
+HEIGHT = -0.55
+PIXEL = GRID.spacing_m[0] * GRID.spacing_m[1]
+ONE = torch.tensor(1.0)
 
 
+def level(dtype: torch.dtype = torch.float32, height_m: float = HEIGHT) -> Ground:
+    return Ground(torch.tensor(0.3, dtype=dtype), height_m=height_m)
+
+
+@pytest.mark.parametrize("grazing", [17.0, 45.0])
+@pytest.mark.parametrize("height", [0.0, -0.4])
+def test_a_wall_returns_what_the_closed_form_says_at_its_foot(grazing: float, height: float) -> None:
+    high, view = 1.5, View(0.0, grazing)
+    black = wall(height + high, height)
+    ground, reflectivity = level(height_m=height), torch.tensor(0.5)
+    rays = RayGrid((0.02, 0.02))
+    bounce = GroundBounce(ground, reflectivity, torch.full((1, len(black)), 0.7))
+    grid = ImageGrid(60, 60, (0.15, 0.15), (0.4, 0.4))
+    rendering = render(black, [view], grid, rays=rays, ground=ground, echoes=[bounce])
+    image = rendering.echoes[1][0]
+    pixel = grid.spacing_m[0] * grid.spacing_m[1]
+    expected = 4 * 0.5 * 0.7 * 6 * high * math.cos(math.radians(grazing))
+    assert float(image.sum()) * pixel == pytest.approx(expected, rel=0.05)  # Gaussians stand out over edges
+    foot = -height * math.sin(math.radians(grazing))
+    by_row = image.sum(1) / image.sum()
+    ranges = torch.from_numpy(grid.range_m).float()
+    middle = float((by_row * ranges).sum())
+    assert middle == pytest.approx(foot, abs=0.01)
+    deviation = math.sqrt(float((by_row * (ranges - middle) ** 2).sum()))
+    assert deviation == pytest.approx(math.sqrt(grid.response_variance_m2[1]), rel=0.05)  # a line
+
+
+def test_real_ones_hide_and_are_not_hidden_by_their_images() -> None:
+    """Without their order, images of low ones would stand before high ones that are farther away."""
+    scene, ground = cloud(60, 41, kappa=(4.0, 12.0)), level()
+    rendering, rays = render(scene, VIEWS, GRID, ground=ground), RayGrid.for_image(GRID)
+    direct, below = lit_both_ways(Steps(passes_for("auto", scene.tensors(), GRID)), scene, VIEWS, GRID, rays, HEIGHT)
+    torch.testing.assert_close(direct, rendering.lit_area, rtol=1e-5, atol=1e-7)
+    assert float(below.sum()) < 0.9 * float(rendering.lit_area.sum())
+
+
+@pytest.mark.parametrize("scales", [(1.0, 1e-3, 1e-3), (0.5, 0.4, 1e-3), (0.3, 0.2, 0.1)])
+@pytest.mark.parametrize("view", [View(40.0, 30.0), View(-70.0, 55.0, tilt_deg=12.0, side="left")])
+def test_feet_of_engines_are_those_of_the_reference(view: View, scales: tuple[float, float, float]) -> None:
+    scene, shift = with_scales(cloud(20, 3), scales), torch.tensor([[0.3, -0.2]])
+    found = []
+    for new_pass in (None, passes_for("auto", scene.tensors(), GRID)):
+        leaves = [t.detach().clone().requires_grad_() for t in (scene.means, scene.quaternions, scene.scales, shift)]
+        pressed = replace(scene, means=leaves[0], quaternions=leaves[1], scales=leaves[2])
+        flat = Steps(new_pass).pressed_flat(pressed, [view], GRID, leaves[3], HEIGHT)
+        weights = torch.linspace(0.5, 2.0, flat.roots.numel()).view_as(flat.roots)
+        ((flat.roots * weights).sum() + (flat.centers * weights[..., :2]).sum()).backward()
+        found.append([flat.centers, flat.roots, *(leaf.grad for leaf in leaves)])
+    for expected, given in zip(*found, strict=True):
+        torch.testing.assert_close(given, expected, rtol=1e-4, atol=1e-4 * float(expected.detach().abs().max()))
+
+
+def test_feet_are_pressed_flat() -> None:
+    scene = cloud(5, 3)
+    feet = partial(pressed_flat_reference, views=VIEWS, grid=GRID, shift=None, height_m=HEIGHT)
+    flat = feet(scene)
+    moved = replace(scene, means=scene.means + torch.tensor([0.0, 0.0, 0.3]))
+    torch.testing.assert_close(flat.centers, feet(moved).centers)
+    upright = with_scales(scene, (0.3, 0.001, 0.001))
+    upright = replace(upright, quaternions=torch.tensor([[math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0]]).repeat(5, 1))
+    of_response = torch.tensor(GRID.response_variance_m2).rsqrt()  # a vertical needle is a point
+    roots = feet(upright).roots
+    torch.testing.assert_close(roots[..., [0, 2]], of_response.expand(3, 5, 2), rtol=1e-4, atol=0)
+
+
+# ---- gradients -------------------------------------------------------------------------------------------------------
+def _small() -> tuple[Gaussians, ImageGrid, RayGrid]:
+    scene = cloud(4, 3, size=(0.6, 0.5, 0.5), scale=0.2, kappa=(0.7, 2.0), degree=2)
+    grid = ImageGrid(5, 6, spacing_m=(0.35, 0.35), resolution_m=(0.4, 0.45))
+    return scene, grid, RayGrid((0.27, 0.31))
+
+
+@pytest.mark.parametrize("given", [False, True])
+def test_gradients_of_the_reference_are_finite_differences(given: bool) -> None:
+    scene, grid, rays = _small()
+    views, generator = (VIEWS[0], VIEWS[2]), torch.Generator().manual_seed(1)
+    leaves = {name: tensor.double() for name, tensor in scene.tensors().items()}
+    leaves["shift"] = 0.1 * torch.randn(2, 2, generator=generator, dtype=torch.float64)
+    leaves["reflectivity"] = torch.tensor(0.6, dtype=torch.float64)
+    if given:
+        leaves["own"] = 0.5 + torch.rand(2, 4, generator=generator, dtype=torch.float64)
+        del leaves["scattering"]
+    leaves = {name: tensor.requires_grad_() for name, tensor in leaves.items()}
+
+    def image(*values: Tensor) -> list[Tensor]:
+        named = dict(zip(leaves, values, strict=True))
+        fields = {name: named.get(name, tensor.double()) for name, tensor in scene.tensors().items()}
+        bounce = GroundBounce(level(torch.float64), named["reflectivity"], named.get("own"))
+        how = {"rays": rays, "shift": named["shift"], "echoes": [bounce], "cuts": False}
+        return [render_reference(scene.with_tensors(**fields), views, grid, **how).echoes[0]]  # type: ignore[arg-type]
+
+    check_gradients(image, tuple(leaves.values()))
+    (shown,) = image(*leaves.values())
+    weights = torch.linspace(1, 2, shown.numel(), dtype=shown.dtype).view_as(shown)
+    for name, gradient in zip(leaves, torch.autograd.grad((shown * weights).sum(), list(leaves.values())), strict=True):
+        rows = gradient.reshape(gradient.shape[0] if gradient.ndim else 1, -1)
+        assert (rows.norm(dim=1) > 1e-6).all(), name
+
+
+SCENES = {
+    **CLOUDS,
+    "dark": lambda: replace(cloud(40, 4), optical_depth=cloud(40, 4).optical_depth * (torch.arange(40) % 3 > 0)),
+    "below the ground": lambda: replace(cloud(40, 7), means=cloud(40, 7).means - torch.tensor([0.0, 0.0, 0.3])),
+}
+
+
+def everything(
+    scene: Gaussians,
+    dtype: torch.dtype,
+    renderer: Callable[..., Rendering],
+    views: tuple[View, ...] = VIEWS,
+    given: bool = False,
+) -> dict[str, Tensor]:
+    """The echo, and gradients with respect to all tensors."""
+
+    def echo(scene: Gaussians, shift: Tensor, reflectivity: Tensor, own: Tensor | None = None) -> Tensor:
+        ground = level(dtype)
+        how = {"ground": ground, "echoes": [GroundBounce(ground, reflectivity, own)]}
+        return renderer(scene, views, GRID, shift=shift, **how).echoes[1]
+
+    more = {"shift": 0.1 * torch.arange(6.0).view(3, 2), "reflectivity": torch.tensor(0.6)}
+    more |= {"own": torch.linspace(0.2, 1.0, 3 * len(scene)).view(3, -1)} if given else {}
+    return differentiated(scene, dtype, echo, **more)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_the_cpu_engine_agrees_with_the_reference(name: str) -> None:
+    scene = SCENES[name]()
+    expected = everything(scene, torch.float64, partial(render, engine="reference"))
+    for instruction_set in AVAILABLE:
+        by = partial(render, engine="cpu", instruction_set=instruction_set)
+        check_agreement(everything(scene, torch.float32, by), expected)
+
+
+@pytest.mark.parametrize(("views", "given"), [(UNUSUAL, False), (VIEWS, True)], ids=["tilted and left", "amplitudes"])
+def test_other_views_and_given_amplitudes_agree_with_the_reference(views: tuple[View, ...], given: bool) -> None:
+    scene = CLOUDS["opaque"]()
+    expected = everything(scene, torch.float64, partial(render, engine="reference"), views, given)
+    check_agreement(everything(scene, torch.float32, render, views, given), expected)
+    assert ("own" in expected) is given
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (2.0, -1.5, 1.2), (30.0, 0.0, 0.0)])
+def test_one_call_of_the_engine_is_its_steps(place: tuple[float, float, float]) -> None:
+    """Also where rays through the mirror image and those through the scene are few in common, or none."""
+    scene = cloud(500, 12, scale=0.06, kappa=(1.0, 6.0))
+    scene = replace(scene, means=scene.means * 0.3 + torch.tensor([*place[:2], HEIGHT + 0.5 + place[2]]))
+    bounce, rays, grid = GroundBounce(level(), ONE), RayGrid.for_image(GRID), replace(GRID, center_m=place[:2])
+    image = render(scene, VIEWS, grid, rays=rays, echoes=[bounce]).echoes[0]
+    sections, places = bounce.parts(scene, VIEWS, grid, rays)
+    assert relative(image.detach(), splat(places, sections[..., None], grid)[:, 0].double().detach()) <= 1e-5
+
+
+def test_the_emulated_cuda_engine_agrees_with_the_reference(library: Path) -> None:
+    expected = everything(cloud(12, 0), torch.float64, partial(render, engine="reference"))
+    check_agreement(everything(cloud(12, 0), torch.float32, partial(render_on, Emulator(library))), expected)
+
+
+# ---- an echo of one's own is told what a rendering knows, and is added to the images ---------------------------------
 @dataclass(frozen=True)
 class Haze(Echo):
     """Power that does not depend on the scene, except that it ends where rays do."""
@@ -120,11 +286,7 @@ def test_what_does_not_fit_is_refused() -> None:
 @pytest.mark.parametrize(
     ("method", "wrong", "message"),
     [
-        (
-            "in_sight",
-            lambda self, means, *_: torch.ones(len(means)),
-            r"in_sight gave torch.float32 \(3,\); it must give a tensor",
-        ),
+        ("in_sight", lambda self, means, *_: torch.ones(len(means)), r"in_sight gave torch.float32 \(3,\); it must"),
         ("in_sight", lambda self, means, *_: 1.0, "in_sight gave float"),
         ("visible", lambda self, gaussians: gaussians[:2], "visible makes 3 Gaussians to 2"),
         ("returned", lambda self, _: torch.ones(GRID.rows, GRID.columns), r"returned gave torch.float32 .* must"),

@@ -1,7 +1,5 @@
 """What records steps: in which order CUDA is asked, and what is told by the arguments of a launch."""
 
-from __future__ import annotations
-
 import gc
 import weakref
 from contextlib import contextmanager
@@ -9,8 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 import torch
-from emulated_cuda import Emulator
-from emulated_recorder import EmulatedRecorder
+from emulated_cuda import EmulatedRecorder, Emulator
 
 from sarsplat.renderer.engines import on_device, recorder
 from sarsplat.renderer.engines.on_device import NotRecordable, kept_on_device

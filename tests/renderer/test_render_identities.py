@@ -9,12 +9,10 @@ import torch
 from compared import relative
 from named_scenes import MATRIX, VIEWS, cloud, facing, with_scales
 
-from sarsplat.gaussians import Gaussians, Harmonics
+from sarsplat import Gaussians, Harmonics, ImageGrid, RayGrid, Rendering, View, radar_frame
+from sarsplat import render as render_with
 from sarsplat.gaussians.gaussians import covariance, rotation_matrix
 from sarsplat.gaussians.law_harmonics import harmonic_basis
-from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
-from sarsplat.renderer import Rendering
-from sarsplat.renderer import render as render_with
 from sarsplat.renderer.engines import cpu
 
 ENGINES = [f"cpu {name}" for name in cpu.instruction_sets()] + ["reference auto"]

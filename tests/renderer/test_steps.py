@@ -14,9 +14,7 @@ from named_scenes import GRID, MATRIX, VIEWS, Scene, cloud
 from test_cpu_engine import AVAILABLE, check, everything, judged, outputs_of, traced
 from torch import Tensor
 
-from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import Harmonics, NormalLobes
-from sarsplat.geometry import ImageGrid, RayGrid
+from sarsplat import Harmonics, ImageGrid, NormalLobes, RayGrid, SarsplatError
 from sarsplat.renderer import Footprints, Projection, Waves, attenuate, project, render, splat
 from sarsplat.renderer.engines import cpu, cuda
 from sarsplat.renderer.engines.passes import NewPass
@@ -155,10 +153,7 @@ def test_values_out_of_range(by, name, index, value, words):
     [
         (lambda p, x: Footprints(p.rays.centers, p.rays.roots[:, :9]), r"roots has shape \(3, 9, 3\)"),
         (lambda p, x: replace(p, tilt=p.range_m), r"tilt has shape \(3, 10\); for 3 views of 10 Gaussians"),
-        (
-            lambda p, x: replace(p, pixels=Footprints(p.pixels.centers[:2], p.pixels.roots[:2])),
-            r"pixels.centers has shape \(2, 10, 2\)",
-        ),
+        (lambda p, x: replace(p, pixels=Footprints(p.pixels.centers[:2], p.pixels.roots[:2])), "pixels.centers has"),
         (lambda p, x: replace(p.rays, roots=p.rays.roots.double()), r"roots is torch.float64 on cpu but centers is"),
         (lambda p, x: replace(p, rays=p.rays.centers), "rays is an object of type Tensor"),
         (lambda p, x: replace(p, optical_depth=[1.0]), "give a torch.Tensor"),

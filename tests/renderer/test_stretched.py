@@ -1,7 +1,6 @@
-"""Images whose cross-range was scaled by something else than the target's metres: as on pixels of another width."""
+"""Unusual views: with a stretched cross-range, a tilted azimuth axis, or a radar that looks to the left."""
 
-from __future__ import annotations
-
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -10,21 +9,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+import trimesh
 from compared import check_agreement, check_gradients, differentiated, relative
 from emulated_cuda import Emulator
 from named_scenes import CLOUDS, GRID, UNUSUAL, cloud
 from torch import Tensor
 
-from sarsplat import ScatteringLaw, simulate_raycast
-from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import Gaussians
+from sarsplat import Gaussians, Ground, ScatteringLaw, simulate_images, simulate_raycast
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.radar.iso_range import Pixel, contributions, iso_range_line
-from sarsplat.renderer import Rendering, project, render
+from sarsplat.renderer import Rendering, render
+from sarsplat.renderer.echoes import GroundEcho
 from sarsplat.renderer.engines import cuda
 from sarsplat.renderer.operations import Steps
 from sarsplat.renderer.stretched import render_stretched
-from sarsplat.tiles import render_tiled
 
 PLAIN = (View(25.0, -40.0, 10.0, aloft=True), View(200.0, 60.0, -70.0, "left", aloft=True))
 STRETCHES = (1.07, 0.8)
@@ -110,20 +108,6 @@ def test_plane_gradients_are_those_of_centres() -> None:
     assert relative(means.grad, (of_rays @ rays + of_pixels @ pixels).sum(0)) <= 1e-5
 
 
-def test_what_needs_plain_images_refuses_them() -> None:
-    scene = cloud(5, 0)
-    for refused in (
-        lambda: project(scene, VIEWS, GRID),
-        lambda: render_tiled(scene, VIEWS[0], GRID),
-        lambda: render(scene, VIEWS, GRID, first_return_depth=0.5),
-    ):
-        with pytest.raises(SarsplatError, match="stretched"):
-            refused()
-    trimesh = pytest.importorskip("trimesh")
-    with pytest.raises(SarsplatError, match="a view is stretched"):
-        simulate_raycast(trimesh.creation.box((1, 1, 1)), VIEWS[0], GRID, ScatteringLaw())
-
-
 def test_a_pixel_lies_on_the_line_that_is_imaged_there() -> None:
     ends = iso_range_line(VIEWS[0], GRID, Pixel(7, 4), np.full(3, -5.0), np.full(3, 5.0))
     assert ends is not None
@@ -137,3 +121,57 @@ def test_contributions_to_a_pixel_add_up_to_it() -> None:
     row, column = divmod(int(image.argmax()), GRID.columns)
     shares = contributions(scene, VIEWS[0], GRID, Pixel(row, column))
     assert float(shares.sum()) == pytest.approx(float(image[row, column]), rel=1e-4)
+
+
+# ---- tilted or to the left: symmetry, ground, and ray casting as a witness -------------------------------------------
+PLANE = GroundEcho(Ground(torch.tensor(0.2), height_m=-0.3))
+
+
+def test_left_is_right_mirrored_bit_for_bit():
+    right = render(cloud(60, 0), [View(70.0, 40.0, 12.0)], GRID, echoes=[PLANE]).images
+    left = render(cloud(60, 0), [View(70.0, 40.0, -12.0, "left")], GRID, echoes=[PLANE]).images
+    assert right.amax() > 2 * right.median()
+    assert left.flip(-1) == pytest.approx(right, rel=1e-5, abs=1e-6)
+
+
+def test_a_small_tilt_changes_little():
+    level, tilted = (
+        render(cloud(60, 0), [View(70.0, 40.0, tilt)], GRID, echoes=[PLANE]).images for tilt in (0.0, 1e-4)
+    )
+    assert (level - tilted).abs().max() < 1e-4 * level.max()
+
+
+@pytest.mark.parametrize("view", UNUSUAL, ids=str)
+def test_free_ground_is_flat_and_has_its_level(view):
+    scene = replace(cloud(1, 0), optical_depth=torch.zeros(1))
+    (image,) = render(scene, [view], GRID, echoes=[PLANE]).images
+    level = 0.2 * math.tan(math.radians(view.grazing_deg)) / math.cos(math.radians(view.tilt_deg))
+    assert image[0].numpy() == pytest.approx(np.full((GRID.rows, GRID.columns), level), rel=1e-5)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_ground_of_level_views_is_the_same_beside_tilted_ones(dtype):
+    scene = replace(cloud(60, 0), means=cloud(60, 0).means + torch.tensor([0.0, 0.0, 1.0])).to(dtype)
+    ground = Ground(torch.tensor(0.2, dtype=dtype), height_m=-0.3)
+    views = [View(70.0, 40.0), *UNUSUAL]
+    together = render(scene, views, GRID, ground=ground).ground
+    assert together is not None
+    for image, view in zip(together, views, strict=True):
+        alone = render(scene, [view], GRID, ground=ground).ground
+        assert alone is not None
+        torch.testing.assert_close(image, alone[0], rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("view", UNUSUAL, ids=str)
+def test_a_box_on_the_ground_is_imaged_as_by_ray_casting(view):
+    """Layover, brightness and shadow lie along the tilted image's own axes."""
+    pytest.importorskip("embreex")
+    box = trimesh.creation.box((2.0, 1.2, 0.8))
+    box.apply_translation([0.2, 0.1, 0.4])
+    grid = ImageGrid(40, 40, (0.15, 0.15), (0.25, 0.25))
+    how = {"law": ScatteringLaw(), "ground_gamma0": 0.05}
+    traced = simulate_raycast(box, view, grid, how["law"], ground_gamma0=0.05)
+    splat = simulate_images(box, [view], grid, source="splat", **how)[0]
+    assert np.corrcoef(traced.ravel(), splat.ravel())[0, 1] > 0.995
+    assert splat.sum() == pytest.approx(traced.sum(), rel=0.03)
+    assert (traced < 0.2 * np.median(traced)).any()  # its shadow

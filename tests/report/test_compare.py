@@ -122,18 +122,14 @@ def test_runs_of_different_datasets_are_compared_with_a_caution(tmp_path: Path) 
         ((0,), {}, "at least two"),
     ],
 )
-def test_what_cannot_be_compared_is_refused_in_one_sentence(
-    tmp_path: Path, chosen: tuple[int, ...], changes: dict[str, Any], words: str
-) -> None:
+def test_what_cannot_be_compared(tmp_path: Path, chosen: tuple[int, ...], changes: dict[str, Any], words: str) -> None:
     runs = two_runs(tmp_path, **changes)
     with pytest.raises(SarsplatError, match=words):
         compare([runs[k] for k in chosen])
 
 
 @pytest.mark.parametrize("shared", [(2,), (3,), (4,), (1, 1), (2, 1, 1), (1, 1, 1, 1), (3, 1)])
-def test_the_page_of_any_datasets_is_at_most_three_screens_long_and_its_tables_are_aligned(
-    tmp_path: Path, shared: tuple[int, ...]
-) -> None:
+def test_the_page_is_at_most_three_screens_long_and_its_tables_aligned(tmp_path: Path, shared: tuple[int, ...]) -> None:
     runs = []
     for number, count in enumerate(shared):
         folder = tmp_path / f"{number}"

@@ -1,7 +1,5 @@
 """The report in a browser: it works offline, turns, and can be read on a phone."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,8 +9,7 @@ import pytest
 
 from chromium import Page, chromium
 from made_runs import make_dataset, make_metrics, make_run
-from sarsplat.geometry import View
-from sarsplat.report import write_report
+from sarsplat import View, write_report
 
 SMALL_TEXT = """
 (() => {

@@ -12,10 +12,8 @@ import trimesh
 
 from made import dataset_of
 from made_runs import METRICS, POINT_KEYS, make_dataset, make_metrics, make_run
-from sarsplat.data import write_dataset
-from sarsplat.errors import SarsplatError
+from sarsplat import ImageGrid, SarsplatError, View, write_dataset
 from sarsplat.evaluation import Alignment, Scores
-from sarsplat.geometry import ImageGrid, View
 from sarsplat.report import write, write_report
 from sarsplat.report.page import score_tables
 from sarsplat.report.widget import widget
@@ -45,9 +43,7 @@ def test_the_page_stands_alone(page: Path) -> None:
 
 
 @pytest.mark.parametrize("pixels", [64, pytest.param(512, marks=pytest.mark.slow)])
-def test_pages_of_speckled_images_of_any_size_stay_below_five_megabytes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pixels: int
-) -> None:
+def test_pages_of_speckled_images_stay_small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pixels: int) -> None:
     rng = np.random.default_rng(0)
     grid = ImageGrid(pixels, pixels, spacing_m=(0.1, 0.1), resolution_m=(0.1, 0.1))
     views = [(View(7.0 * k, 30.0), "train" if k % 2 else "test") for k in range(50)]
@@ -175,9 +171,7 @@ def test_of_many_gaussians_fewer_directions_are_rendered(tmp_path: Path) -> None
     assert few is not None and many is not None and len(many["data"]["views"]) < len(few["data"]["views"])
 
 
-def test_a_report_is_replaced_and_its_progress_shown_unless_it_is_to_be_quiet(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_report_is_replaced_and_its_progress_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = make_run(tmp_path, make_dataset(tmp_path), None)
     write_report(run)
     assert "report: 22/22" in capsys.readouterr().out
@@ -195,13 +189,13 @@ def test_every_method_has_its_column_and_the_best_of_all_is_marked() -> None:
     assert [row.metric.title for row in images.rows] == ["PSNR, whole image, dB"]  # of nothing else is there a score
     assert [row.metric.title for row in points.rows] == ["Chamfer distance, m", "F1 at 0.3 m"]
     assert [column.name for column in points.columns] == [
-        *("sar-gs, visible surface", "whole surface", "mesh, visible surface", "mesh, whole surface", "one", "two"),
+        *("sar-gs, visible surface", "whole surface", "mesh, visible surface", "mesh, whole surface", "one", "two")
     ]
     assert [(cell.text, cell.best) for cell in images.rows[0].cells] == [
-        *(("50.00", False), ("40.00", False), ("55.00", True)),
+        *(("50.00", False), ("40.00", False), ("55.00", True))
     ]
     assert [(cell.text, cell.best) for cell in points.rows[0].cells] == [
-        *(("0.0625", False), ("0.0625", False), ("0.0375", False), ("0.0625", False), ("0.0500", True), ("–", False)),
+        *(("0.0625", False), ("0.0625", False), ("0.0375", False), ("0.0625", False), ("0.0500", True), ("–", False))
     ]
 
 

@@ -1,7 +1,5 @@
 """Runs that leave the memory, and runs of Gaussians that no training of ours has made."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -11,21 +9,11 @@ import pytest
 import torch
 
 from made import upright
-from sarsplat import (
-    Config,
-    Dataset,
-    Harmonics,
-    Place,
-    Run,
-    SarsplatError,
-    SarsplatWarning,
-    View,
-    evaluate_run,
-    reconstruct,
-)
+from sarsplat import Dataset, Harmonics, Place, Run, SarsplatError, SarsplatWarning, View, evaluate_run, reconstruct
 from sarsplat.exports import export
 from sarsplat.report import write_report
 from sarsplat.runs.own_gaussians import usual_grid, without_strays
+from sarsplat.settings import Config
 
 VIEWS = [View(10.0, 30.0), View(200.0, 50.0)]
 PLACES = torch.rand(60, 3, generator=torch.Generator().manual_seed(0))
@@ -57,7 +45,7 @@ def test_a_run_in_memory_is_saved_with_its_scores_and_resumed(dataset: Dataset, 
     assert Run.load(held.save(tmp_path / "run", overwrite=True).folder).iteration == 3
 
 
-def test_points_that_are_there_are_saved_and_not_extracted_again(
+def test_points_are_not_extracted_again(
     finished: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     held = Run.from_gaussians(finished.gaussians, views=VIEWS)
@@ -78,9 +66,7 @@ def test_points_that_are_there_are_saved_and_not_extracted_again(
     assert capsys.readouterr().out == ""
 
 
-def test_gaussians_of_ones_own_are_scored_exported_and_shown_in_a_report(
-    dataset: Dataset, finished: Run, tmp_path: Path
-) -> None:
+def test_own_gaussians_are_scored_exported_and_reported(dataset: Dataset, finished: Run, tmp_path: Path) -> None:
     run = Run.from_gaussians(finished.gaussians, dataset=dataset, time_s=7.0)
     assert (run.grid, run.snapshot.views) == (dataset.grid, dataset.select("train").views)
     np.testing.assert_array_equal(run.render(VIEWS), finished.render(VIEWS))
@@ -157,9 +143,7 @@ def test_an_outlier_does_not_set_the_grid_and_is_said() -> None:
     assert without_strays(whole)[1] == ""
 
 
-def test_a_run_keeps_where_on_earth_its_scene_is(
-    dataset: Dataset, config: Config, finished: Run, tmp_path: Path
-) -> None:
+def test_a_run_keeps_the_place_of_its_scene(dataset: Dataset, config: Config, finished: Run, tmp_path: Path) -> None:
     short = replace(config, iterations=6, gaussians=80)
     place = Place(-33.0, 151.0, 40.0, 20.0)
     made = reconstruct(replace(dataset, place=place), short, tmp_path / "run", quiet=True)

@@ -1,10 +1,11 @@
-"""What researchers bend: trainings in memory, watched, with a loss of their own, and runs whose images are gone."""
-
-from __future__ import annotations
+"""What researchers bend: trainings in memory, watched, with a loss or a method of their own, and images left out."""
 
 import itertools
 import math
+import os
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,12 +13,12 @@ import numpy as np
 import pytest
 import torch
 
+import sarsplat
 from made import dataset_of
-from sarsplat import Dataset, ImageGrid, Run, SarsplatError, View, preset, reconstruct
+from sarsplat import Config, Dataset, ImageGrid, Run, SarsplatError, Trainer, View, evaluate_run, preset, reconstruct
 from sarsplat.data import read_gaussians_ply, read_points_ply, write_points_ply
 from sarsplat.gaussians import SCATTERINGS
-from sarsplat.learning import Trainer
-from sarsplat.settings import Config
+from sarsplat.learning.training_images import ViewQueue
 
 SHORT = {"iterations": 6, "gaussians": 80, "checkpoint_every": 4}
 
@@ -40,7 +41,7 @@ def test_a_run_in_memory_is_the_same_as_one_on_the_disk(dataset: Dataset, config
         reconstruct(dataset, config, resume=True)
 
 
-def test_a_run_needs_its_dataset_for_nothing_but_the_images(
+def test_a_run_needs_its_dataset_for_images_alone(
     dataset: Dataset, short: Config, tmp_path: Path, finished: Run
 ) -> None:
     shutil.copytree(dataset.path, tmp_path / "dataset")
@@ -72,11 +73,8 @@ def test_normals_are_read_with_the_points_and_computed_where_they_are_missing(fi
     np.testing.assert_allclose(computed[:, 2], columns["nz"], atol=1e-5)
 
 
-def test_a_line_says_what_a_run_is(finished: Run) -> None:
+def test_a_run_says_what_it_is_and_renders_where_it_is_told_to(finished: Run) -> None:
     assert repr(finished) == f"Run({finished.path}, sar-gs, {finished.config.preset}, seed {finished.seed})"
-
-
-def test_a_run_renders_where_it_is_told_to(finished: Run) -> None:
     assert replace(Run.load(finished.folder), device="meta").gaussians.means.device.type == "meta"
     assert Run.load(finished.folder).gaussians.means.device.type == "cpu"
 
@@ -89,7 +87,7 @@ def test_a_watcher_ends_the_training_and_has_a_run(dataset: Dataset, short: Conf
     assert reconstruct(dataset, out=tmp_path / "run", resume=True, quiet=True).iteration == short.iterations
 
 
-def test_ctrl_c_within_a_step_saves_nothing_that_is_half_done(
+def test_ctrl_c_within_a_step_saves_no_half(
     dataset: Dataset, short: Config, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     step = Trainer.step
@@ -104,11 +102,6 @@ def test_ctrl_c_within_a_step_saves_nothing_that_is_half_done(
     with pytest.raises(KeyboardInterrupt):
         reconstruct(dataset, short, tmp_path / "run", quiet=True)
     assert Run.load(tmp_path / "run").iteration == 4  # the last checkpoint
-
-
-def test_no_signal_handler_is_touched(dataset: Dataset, short: Config, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("signal.signal", None)
-    reconstruct(dataset, short, quiet=True)
 
 
 def test_a_loss_of_ones_own(dataset: Dataset, config: Config) -> None:
@@ -140,7 +133,7 @@ def test_a_loss_of_ones_own_does_not_pass_for_a_known_one(dataset: Dataset, conf
 
 @pytest.mark.parametrize("surroundings", [False, True])
 @pytest.mark.parametrize("law", sorted(set(SCATTERINGS) - {"polarimetric"}))  # which needs several polarisations
-def test_every_law_of_scattering_is_learned_kept_and_resumed(
+def test_every_law_is_learned_and_resumed(
     law: str, surroundings: bool, dataset: Dataset, config: Config, tmp_path: Path
 ) -> None:
     around = preset("measured").surroundings if surroundings else None
@@ -174,8 +167,12 @@ def test_losses_that_are_none(dataset: Dataset, short: Config, loss: object, wor
         reconstruct(dataset, short, loss=loss, quiet=True)
 
 
-def test_quiet_is_quiet(dataset: Dataset, short: Config, capsys: pytest.CaptureFixture[str]) -> None:
-    reconstruct(dataset, short, quiet=True)
+def test_quiet_is_quiet_and_no_signal_handler_is_touched(
+    dataset: Dataset, short: Config, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr("signal.signal", None)
+        reconstruct(dataset, short, quiet=True)
     assert capsys.readouterr() == ("", "")
     reconstruct(dataset, short)
     assert "reconstruct (default): 6/6" in capsys.readouterr().out
@@ -187,8 +184,6 @@ def test_quiet_is_quiet(dataset: Dataset, short: Config, capsys: pytest.CaptureF
         ({"device": "tpu"}, "device 'tpu' is unknown"),
         ({"preset": replace(preset("default"), loss="amplitud")}, "loss 'amplitud' is unknown; did you mean amplitude"),
         ({"device": "cuda"}, "install .*, or use the CPU"),
-        ({"preset": "defualt"}, "preset 'defualt' is unknown"),
-        ({"dataset": "nowhere"}, "nowhere: it does not exist"),
     ],
 )
 def test_refusals(dataset: Dataset, options: dict[str, str], words: str) -> None:
@@ -204,20 +199,17 @@ def test_a_setting_that_is_given_as_an_argument_is_told_where_it_belongs(dataset
             reconstruct(dataset, **{name: 20})
 
 
-def test_a_loss_that_is_no_number_is_named_and_not_what_came_of_it(dataset: Dataset, short: Config) -> None:
-    long = replace(short, iterations=1000)  # no line of the log before the next step
-    with pytest.raises(SarsplatError, match="the loss became nan at iteration 1;"):
-        reconstruct(dataset, long, loss=lambda rendered, truth: (rendered - truth).mean() * math.nan, quiet=True)
-
-
-def test_a_loss_that_is_no_number_any_more_is_not_saved(dataset: Dataset, short: Config, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("iterations", "first"), [(1000, 1), (6, 6)])  # without a line of the log before the next step
+def test_a_loss_that_becomes_no_number_is_named_and_not_saved(
+    dataset: Dataset, short: Config, tmp_path: Path, iterations: int, first: int
+) -> None:
     def breaks(rendered: torch.Tensor, truth: torch.Tensor) -> torch.Tensor:
         return (rendered - truth).square().mean() * next(factors)
 
-    factors = itertools.chain([1.0] * 6, [math.nan])  # the first call is of black images
-    with pytest.raises(SarsplatError, match="the loss became nan at iteration 6"):
-        reconstruct(dataset, short, tmp_path / "run", loss=breaks, quiet=True)
-    assert Run.load(tmp_path / "run").iteration == 4
+    factors = itertools.chain([1.0] * first, itertools.repeat(math.nan))  # the first call is of black images
+    with pytest.raises(SarsplatError, match=f"the loss became nan at iteration {first}"):
+        reconstruct(dataset, replace(short, iterations=iterations), tmp_path / "run", loss=breaks, quiet=True)
+    assert first == 1 or Run.load(tmp_path / "run").iteration == 4
 
 
 @pytest.mark.parametrize(("name", "words"), [("measured", "ground is on"), ("texture", "texture_looks")])
@@ -228,3 +220,53 @@ def test_no_ground_is_learned_of_what_is_aloft(name: str, words: str) -> None:
     config = preset("measured") if name == "measured" else replace(preset("measured"), ground=None)
     with pytest.raises(SarsplatError, match=f"target aloft, where there is no ground, but {words}"):
         reconstruct(aloft, config, quiet=True)
+
+
+# ---- methods as such -------------------------------------------------------------------------------------------------
+def test_names_need_no_torch():
+    code = "import sys; from sarsplat.runs import METHODS; print(*METHODS, 'torch' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["sar-gs", "dsr", "sar-nerf", "sar-nerf-grid", "False"]
+
+
+def test_a_run_in_a_folder_of_images_in_memory_is_evaluated(dataset: Dataset, config: Config, tmp_path: Path):
+    in_memory = replace(dataset, path=None)
+    run = reconstruct(in_memory, replace(config, iterations=2), tmp_path / "run", quiet=True)
+    assert evaluate_run(run, quiet=True)["images"]
+    alone = Run.load(tmp_path / "run")
+    with pytest.raises(SarsplatError, match=r"made from images in memory; give them with Run\.load"):
+        _ = alone.dataset
+    assert Run.load(tmp_path / "run", dataset=in_memory).dataset is in_memory
+    other = replace(in_memory, power=2 * in_memory.power)
+    with pytest.raises(SarsplatError, match="was made from another dataset than"):
+        Run.load(tmp_path / "run", dataset=other)
+
+
+def test_views_are_drawn_on_the_cpu_whatever_torchs_default_device():
+    queue = ViewQueue(5, 2, torch.Generator().manual_seed(0))
+    with torch.device("meta"):
+        drawn = [*queue.next(), *queue.next(), *queue.next()]
+    assert sorted(drawn[:5]) == [0, 1, 2, 3, 4]
+    assert len(queue.waiting) == 4
+
+
+def test_a_queue_resumes_where_it_stopped(finished: Run):
+    queue = ViewQueue(12, 8, torch.Generator())
+    queue.restore(finished.snapshot)
+    assert queue.waiting == list(finished.snapshot.queue)
+    for damaged in ({"queue": (12,)}, {"views": finished.snapshot.views[:3]}):
+        with pytest.raises(ValueError, match="views"):
+            queue.restore(replace(finished.snapshot, **damaged))
+
+
+def test_a_method_of_another_package_is_one_of_the_methods(tmp_path: Path):
+    """The whole page of docs/how-to/another-method.md is such a method; here, that it is found and reached."""
+    (tmp_path / "flat.py").write_text("from sarsplat.learning.method_sar_gs import SarGs\nMETHOD = SarGs()\n")
+    info = tmp_path / "flat-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: flat\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[sarsplat.methods]\nflat = flat:METHOD\n")
+    code = "from sarsplat.cli import main; main(['reconstruct', '--help'])"
+    path = {"PYTHONPATH": f"{tmp_path}:{Path(sarsplat.__file__).parent.parent}"}
+    done = subprocess.run([sys.executable, "-c", code], env={**os.environ, **path}, capture_output=True, text=True)
+    assert "sar-nerf-grid,flat}" in "".join(done.stdout.split()), done.stderr

@@ -1,7 +1,5 @@
 """The trainer on a small box: it learns, resumes bit for bit, and leaves a usable run whenever it stops."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
@@ -13,18 +11,14 @@ import numpy as np
 import pytest
 import torch
 
-from sarsplat import Dataset, Run, SarsplatError, View, preset, reconstruct
-from sarsplat.errors import SarsplatWarning
-from sarsplat.learning import Trainer
+from sarsplat import Config, Dataset, Run, SarsplatError, SarsplatWarning, Trainer, View, preset, reconstruct
 from sarsplat.learning.model import SceneModel
 from sarsplat.learning.parts.measured import gains
 from sarsplat.learning.scene_frame import SceneFrame
 from sarsplat.regions.target_box import target_box
 from sarsplat.runs import Step, training_loop
 from sarsplat.runs.training_loop import ThreadChoice
-from sarsplat.settings import Config
 from sarsplat.settings.sections import FlatGround, Surroundings
-from sarsplat.surface import extract_points
 
 BOX = (3.0, 2.0, 1.2)
 
@@ -57,9 +51,7 @@ def test_a_run_reads_back_as_it_was(finished: Run) -> None:
     ]
 
 
-def test_a_stopped_training_resumes_bit_for_bit(
-    dataset: Dataset, config: Config, tmp_path: Path, finished: Run
-) -> None:
+def test_a_stopped_training_resumes_to_the_bit(dataset: Dataset, config: Config, tmp_path: Path, finished: Run) -> None:
     def stop(step: Step) -> None:
         if step.iteration == 37:  # between checkpoints
             raise KeyboardInterrupt
@@ -192,14 +184,7 @@ def test_a_target_larger_than_its_box_is_told(dataset: Dataset, tmp_path: Path) 
     Trainer(images, config)
 
 
-def test_points_of_no_gaussians_are_none(finished: Run, dataset: Dataset) -> None:
-    nothing = finished.gaussians[:0]
-    assert extract_points(nothing, [View(0.0, 30.0)], dataset.grid, finished.config.points).shape == (0, 3)
-
-
-def test_folders_of_others_are_neither_read_nor_replaced(
-    dataset: Dataset, config: Config, tmp_path: Path, finished: Run
-) -> None:
+def test_folders_of_others_are_left_alone(dataset: Dataset, config: Config, tmp_path: Path, finished: Run) -> None:
     with pytest.raises(SarsplatError, match="exists"):
         reconstruct(dataset, config, finished.path)
     (tmp_path / "config.json").write_text('{"mine": 1}')
@@ -233,7 +218,7 @@ def test_a_given_box_is_where_a_target_is_looked_for(dataset: Dataset) -> None:
 @pytest.mark.parametrize(
     ("slow", "quickest"), [({1: 4, 2: 2, 4: 1}, 4), ({1: 1, 2: 9, 4: 20}, 1), ({1: 2, 2: 1, 4: 4}, 2)]
 )
-def test_steps_have_the_threads_that_are_quickest(
+def test_the_quickest_threads(
     slow: dict[int, int], quickest: int, threads: Callable[[int], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     threads(4)

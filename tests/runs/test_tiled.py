@@ -1,7 +1,5 @@
 """Reconstruction by tiles: the whole scene on coarse images, then tile after tile, and no seams."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -15,11 +13,11 @@ import pytest
 import torch
 
 from made import FEW_POINTS, dataset_of, upright
-from sarsplat import Config, Dataset, Gaussians, ImageGrid, Run, SarsplatError, View, preset, reconstruct
+from made_runs import assert_same
+from sarsplat import Config, Dataset, Gaussians, ImageGrid, RayGrid, Run, SarsplatError, View, preset, reconstruct
 from sarsplat.data import read_dataset, write_dataset
 from sarsplat.executors import EXECUTORS, Means, executor_ray
 from sarsplat.gaussians.ground import Ground
-from sarsplat.geometry import RayGrid
 from sarsplat.learning.image_windows import Windows
 from sarsplat.learning.observations.single_images import Tile, tiles_of
 from sarsplat.renderer import render
@@ -54,15 +52,6 @@ def finished(dataset: Dataset, config: Config, tmp_path_factory: pytest.TempPath
     return reconstruct(dataset, config, tmp_path_factory.mktemp("tiled") / "run", quiet=True)
 
 
-def tensors(run: Run) -> dict[str, torch.Tensor]:
-    return run.snapshot.tensors
-
-
-def assert_same(run: Run, other: Run) -> None:
-    assert tensors(run).keys() == tensors(other).keys()
-    assert all(torch.equal(tensor, tensors(other)[name]) for name, tensor in tensors(run).items())
-
-
 def test_nothing_is_lost_or_doubled_at_the_seams(finished: Run, dataset: Dataset, config: Config) -> None:
     """Tiles meet near the middle, in the shape of a cross: there is as much as where the whole is learned at once."""
     whole = reconstruct(dataset, replace(config, tiles=1), quiet=True)
@@ -84,9 +73,7 @@ def held(run: Run, width_m: float) -> float:
     return float((scene.optical_depth * areas)[near].sum())
 
 
-def test_a_stopped_one_goes_on_to_the_same_bits(
-    finished: Run, dataset: Dataset, config: Config, tmp_path: Path
-) -> None:
+def test_a_stopped_one_resumes_to_the_bit(finished: Run, dataset: Dataset, config: Config, tmp_path: Path) -> None:
     out, steps = tmp_path / "run", []
 
     def stop(step: Any) -> None:
@@ -100,7 +87,7 @@ def test_a_stopped_one_goes_on_to_the_same_bits(
     assert steps.count(36) == 3  # finished tiles are kept
     assert (out / "tiles").is_dir()
     resumed = reconstruct(dataset, config, out, quiet=True, resume=True)
-    assert_same(resumed, finished)
+    assert_same(resumed.snapshot, finished.snapshot)
     np.testing.assert_array_equal(resumed.points, finished.points)
     assert not (out / "tiles").exists()
     assert [line.iteration for line in resumed.history][-1] == 36
@@ -108,7 +95,7 @@ def test_a_stopped_one_goes_on_to_the_same_bits(
 
 def test_threads_and_folders_make_no_difference(finished: Run, dataset: Dataset, config: Config, threads: Any) -> None:
     threads(3 if torch.get_num_threads() == 1 else 1)
-    assert_same(reconstruct(dataset, config, quiet=True), finished)
+    assert_same(reconstruct(dataset, config, quiet=True).snapshot, finished.snapshot)
 
 
 def test_its_points_are_extracted_anew(finished: Run, dataset: Dataset, config: Config) -> None:
@@ -160,19 +147,19 @@ def here(jobs: Sequence[TileJob], out: Path, means: Means) -> Ends:
         torch.set_num_threads(before)
 
 
-def test_processes_that_learn_tiles_make_the_same_bits(
+def test_processes_make_the_same_bits(
     finished: Run, stored: Dataset, config: Config, tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("sarsplat.progress._SECONDS_BETWEEN_LINES", 0.0)
     run = reconstruct(stored, config, tmp_path / "run", executor="local", means=Means(processes=2))
-    assert_same(run, finished)
+    assert_same(run.snapshot, finished.snapshot)
     np.testing.assert_array_equal(run.points, finished.points)
     assert run.history[-1].iteration == 36
     assert not (tmp_path / "run" / "tiles").exists()
     assert "4 tiles, by other processes" in capsys.readouterr().out
 
 
-def test_a_cluster_that_learns_tiles_makes_the_same_bits(
+def test_a_cluster_makes_the_same_bits(
     finished: Run, stored: Dataset, config: Config, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """By a stand-in for Ray, which does everything in this process, but in another folder.
@@ -201,12 +188,12 @@ def test_a_cluster_that_learns_tiles_makes_the_same_bits(
     run = reconstruct(
         near, config, "run", executor="ray", on_step=lambda at: steps.append((at.iteration, at.last)), quiet=True
     )
-    assert_same(run, finished)
+    assert_same(run.snapshot, finished.snapshot)
     assert [last for _, last in steps] == [False] * (len(steps) - 1) + [True]
     assert steps[-1][0] < 36
 
 
-def test_whoever_learned_a_tile_the_others_go_on(
+def test_tiles_go_on_whoever_began(
     finished: Run, stored: Dataset, config: Config, tmp_path: Path, executor: Any
 ) -> None:
     """Stopped while others learn tiles, after one of them; then in this process, and then by others again."""
@@ -229,12 +216,10 @@ def test_whoever_learned_a_tile_the_others_go_on(
         reconstruct(stored, config, out, on_step=stop, quiet=True, resume=True)
     assert steps[0][0] > 1  # the whole is not learned again
     run = reconstruct(stored, config, out, executor=executor(here), quiet=True, resume=True)
-    assert_same(run, finished)
+    assert_same(run.snapshot, finished.snapshot)
 
 
-def test_a_tile_that_is_not_finished_is_one_sentence(
-    stored: Dataset, config: Config, tmp_path: Path, executor: Any
-) -> None:
+def test_an_unfinished_tile_is_one_sentence(stored: Dataset, config: Config, tmp_path: Path, executor: Any) -> None:
     out = tmp_path / "run"
     made = executor(lambda jobs, *_: (one for one in [(jobs[2], TileEnd("its process ended with code 3; resume it"))]))
     with pytest.raises(SarsplatError, match=r"^tile 3 of 4 was not finished: its process ended with code 3; resume"):
@@ -257,7 +242,7 @@ def test_a_tile_that_is_not_finished_is_one_sentence(
         ),
     ],
 )
-def test_what_others_cannot_learn_is_refused(
+def test_refusals_of_others(
     stored: Dataset, config: Config, tmp_path: Path, given: dict[str, Any], message: str
 ) -> None:
     how = replace(config, tiles=given.pop("tiles", 2))
@@ -276,7 +261,7 @@ def test_what_others_cannot_learn_is_refused(
         ({"densification": Densification()}, "densification is on, which cannot be combined with tiles 2"),
     ],
 )
-def test_what_tiles_cannot_do_is_refused(
+def test_refusals_of_tiles(
     dataset: Dataset, config: Config, changes: dict[str, Any], message: str, tmp_path: Path
 ) -> None:
     with pytest.raises(SarsplatError, match=message):

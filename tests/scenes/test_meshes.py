@@ -1,4 +1,4 @@
-"""Mesh files: clean, dirty, foreign."""
+"""Meshes: files that are clean, dirty or foreign, faces with many corners, and random points of a surface."""
 
 import json
 import struct
@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from sarsplat.errors import SarsplatError, SarsplatWarning
-from sarsplat.geometry import ImageGrid
-from sarsplat.scenes import load_mesh, paper_grid
+from sarsplat import ImageGrid, SarsplatError, SarsplatWarning, load_mesh, paper_grid
+from sarsplat.scenes._polygons import are_fans, triangulated
 from sarsplat.scenes.meshes import scaled, suspicious_size
+from sarsplat.scenes.surface_samples import blocks_of_samples, surface_samples
 
 trimesh = pytest.importorskip("trimesh")
 
@@ -166,3 +167,148 @@ def test_real_meshes_load():
         assert len(mesh.faces) > 100
         assert 5 < mesh.extents.max() < 12
         assert mesh.bounds[0, 2] == pytest.approx(0, abs=0.05)
+
+
+# ---- faces with more than three corners ------------------------------------------------------------------------------
+L_SHAPE = np.array([(0, 0), (4, 0), (4, 1), (1, 1), (1, 4), (0, 4)], float)
+COMB = np.array([(0, 0), (9, 0), (9, 5), (8, 5), (8, 1), (5, 1), (5, 5), (4, 5), (4, 1), (1, 1), (1, 5), (0, 5)], float)
+ARROW = np.array([(0, 0), (4, 0), (1, 1), (0, 4)], float)
+T_CORNERS = np.array([(0, 0), (1, 0), (2, 0), (3, 0), (3, 1), (2, 1), (2, 3), (1, 3), (1, 2), (1, 1), (0, 1)], float)
+# a square with a square hole, whose outline goes in and comes back along the same line
+KEYHOLE = np.array([(0, 0), (6, 0), (6, 6), (0, 6), (0, 0), (2, 2), (2, 4), (4, 4), (4, 2), (2, 2)], float)
+SHAPES = [(L_SHAPE, 7.0), (COMB, 21.0), (ARROW, 4.0), (T_CORNERS, 5.0), (KEYHOLE, 32.0)]
+
+
+def tilted(outline: np.ndarray) -> np.ndarray:
+    """Corners on a steep plane, far from the origin as on a map."""
+    turn = Rotation.from_euler("xyz", (50, 20, 70), degrees=True).as_matrix()
+    return np.column_stack([outline, np.zeros(len(outline))]) @ turn.T + (5e5, 5e6, 300)
+
+
+def area_of(corners: np.ndarray, triangles: np.ndarray) -> float:
+    first, second, third = (corners[triangles[:, k]] for k in range(3))
+    return float(np.linalg.norm(np.cross(second - first, third - first), axis=1).sum() / 2)
+
+
+@pytest.mark.parametrize(("outline", "area"), SHAPES)
+@pytest.mark.parametrize("backwards", [False, True])
+def test_ears_cover_what_an_outline_encloses_wherever_it_begins(outline, area, backwards):
+    for begin in range(len(outline)):
+        corners = tilted(np.roll(outline[::-1] if backwards else outline, begin, axis=0))
+        triangles, crossed = triangulated(corners[None])
+        assert area_of(corners, np.array(triangles[0])) == pytest.approx(area, rel=1e-6)
+        assert crossed == 0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_ears_cover_outlines_of_any_shape(seed):
+    """Stars with random arms, some hundred corners, all at once."""
+    generator = np.random.default_rng(seed)
+    angle = np.sort(generator.uniform(0, 2 * np.pi, (4, 150)), axis=1)
+    radius = generator.uniform(0.05, 10, angle.shape)
+    outlines = np.stack([radius * np.cos(angle), radius * np.sin(angle), 0 * angle], axis=2)
+    triangles, crossed = triangulated(outlines)
+    x, y = outlines[..., 0], outlines[..., 1]
+    enclosed = np.abs((x * np.roll(y, -1, 1) - y * np.roll(x, -1, 1)).sum(axis=1)) / 2
+    covered = [area_of(outline, np.array(own)) for outline, own in zip(outlines, triangles, strict=True)]
+    assert covered == pytest.approx(enclosed, rel=1e-9)
+    assert crossed == 0
+
+
+def test_a_warped_face_has_one_diagonal_wherever_it_begins():
+    saddle = np.array([(0, 0, 0), (1, 0, 1), (1, 1, 0), (0, 1, 1.0)])  # both diagonals are equally long
+    surfaces = set()
+    for begin in range(4):
+        corners = np.roll(saddle, begin, axis=0)
+        assert not are_fans(corners[None])[0]
+        middles = sorted(corners[t].mean(axis=0).round(6).tolist() for t in triangulated(corners[None])[0][0])
+        surfaces.add(str(middles))
+    assert len(surfaces) == 1
+
+
+def test_flat_convex_faces_remain_fans():
+    angle = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+    assert are_fans(tilted(np.column_stack([np.cos(angle), np.sin(angle)]))[None]).all()
+    pentagram = np.column_stack([np.cos(2 * angle[:5] * 12 / 5), np.sin(2 * angle[:5] * 12 / 5)])
+    assert not are_fans(tilted(pentagram)[None]).any()
+    assert not are_fans(tilted(L_SHAPE)[None]).any()
+
+
+def files_of(outline: np.ndarray) -> dict[str, bytes]:
+    """A wall and a triangle, in every format that has polygons, as programs write them."""
+    many = len(outline)
+    vertices = [*np.column_stack([outline, np.full(many, 2.0)]), (50, 0, 0), (52, 0, 0), (50, 2, 0)]
+    places = "".join("{} {} {}\n".format(*vertex) for vertex in vertices)
+    first, second = list(range(many)), [many, many + 1, many + 2]
+    head = f"element vertex {many + 3}\n" + "".join(f"property float {axis}\n" for axis in "xyz")
+    head += "element face 2\nproperty list uchar int vertex_indices\n"
+    text = "".join(f"{len(face)} {' '.join(map(str, face))}\n" for face in (first, second))
+    files = {
+        "a.obj": "".join(f"v {line}\n" for line in places.splitlines()) + "vt 0 0\ns 1\n"
+        f"f {' '.join(f'{k + 1}/1' for k in first)}\r\nusemtl b\nf {' '.join(f'{k + 1}/1' for k in second)}\n",
+        "a.off": f"OFF\n{many + 3} 2 0\n{places}{text}",
+        "text.ply": f"ply\nformat ascii 1.0\n{head}end_header\n{places}{text}",
+    }
+    written = {name: content.encode() for name, content in files.items()}
+    for order, name in (("<", "little"), (">", "big")):
+        body = np.array(vertices, f"{order}f4").tobytes()
+        for face in (first, second):
+            body += bytes([len(face)]) + np.array(face, f"{order}i4").tobytes()
+        written[f"{name}.ply"] = f"ply\r\nformat binary_{name}_endian 1.0\r\n{head}end_header\n".encode() + body
+    return written
+
+
+@pytest.mark.parametrize("name", ["a.obj", "a.off", "text.ply", "little.ply", "big.ply"])
+@pytest.mark.parametrize(("outline", "area"), SHAPES)
+def test_concave_faces_of_files_have_their_area(tmp_path, name, outline, area):
+    for begin in (0, 3):
+        (tmp_path / name).write_bytes(files_of(np.roll(outline, begin, axis=0))[name])
+        assert load_mesh(tmp_path / name).area == pytest.approx(area + 2, rel=1e-6)
+
+
+def test_an_outline_that_crosses_itself_is_said(tmp_path):
+    (tmp_path / "bow.obj").write_text("v 0 0 0\nv 2 2 0\nv 2 0 0\nv 0 1 0\nf 1 2 3 4\n")
+    with pytest.warns(SarsplatWarning, match=r"bow\.obj': the outlines of 1 face cross themselves"):
+        load_mesh(tmp_path / "bow.obj")
+
+
+def test_far_too_many_corners_are_refused_at_once(tmp_path):
+    comb = "".join(f"v {k} {k % 2 * 5} 0\n" for k in range(3000)) + "v 3000 -5 0\nv 0 -5 0\n"
+    (tmp_path / "comb.obj").write_text(comb + f"f {' '.join(str(k + 1) for k in range(3002))}\n")
+    with pytest.raises(SarsplatError, match=r"comb\.obj' has 1 concave faces with 3,002 corners"):
+        load_mesh(tmp_path / "comb.obj")
+
+
+def test_files_without_such_faces_are_read_as_before(tmp_path):
+    vertices = "".join("v {} {} {}\n".format(*v) for v in trimesh.creation.box((4, 2, 1)).vertices)
+    (tmp_path / "box.obj").write_text(vertices + "f 1 2 4 3\nf 5 7 8 6\nf 1 5 6 2\nf 3 4 8 7\nf 1 3 7 5\nf 2 6 8 4\n")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mesh = load_mesh(tmp_path / "box.obj")
+    whole = [[0, 1, 3], [4, 6, 7], [0, 4, 5], [2, 3, 7], [0, 2, 6], [1, 5, 7]]  # as trimesh orders halves of quads
+    np.testing.assert_array_equal(mesh.faces[:6], whole)
+    assert mesh.area == pytest.approx(28)
+
+
+# ---- random points of a surface, as trimesh draws them ---------------------------------------------------------------
+@pytest.mark.parametrize("count", [1, 40_000])
+def test_they_are_those_of_trimesh(count: int) -> None:
+    mesh = trimesh.creation.icosphere(3)
+    mesh.vertices[:, 0] *= 50.0  # faces of very different areas
+    places, faces = trimesh.sample.sample_surface(mesh, count, seed=0)
+    np.testing.assert_array_equal(surface_samples(mesh, count, np.random.default_rng(0)), places)
+    blocks = blocks_of_samples(mesh, count, np.random.default_rng(0))
+    np.testing.assert_array_equal(np.concatenate([face for _, _, face in blocks]), faces)
+
+
+def test_weights_and_a_generator_in_use_are_taken() -> None:
+    mesh = trimesh.creation.box()
+    weight, chances = mesh.area_faces * (np.arange(12) == 7), [np.random.default_rng(0) for _ in range(2)]
+    for _ in range(2):
+        places, _ = trimesh.sample.sample_surface(mesh, 1000, weight, seed=chances[0])
+        np.testing.assert_array_equal(surface_samples(mesh, 1000, chances[1], weight), places)
+
+
+def test_a_mesh_without_area_has_points_as_well() -> None:
+    point = trimesh.Trimesh([[1.0, 2.0, 3.0]] * 3, [[0, 1, 2]], process=False)
+    np.testing.assert_array_equal(surface_samples(point, 2, np.random.default_rng(0)), [[1.0, 2.0, 3.0]] * 2)

@@ -1,4 +1,4 @@
-"""The ray-cast simulator against closed forms (physics), against itself (convergence), and its errors."""
+"""The ray caster against closed forms, against itself (convergence), and on terrain against the renderer."""
 
 import math
 from dataclasses import replace
@@ -6,10 +6,12 @@ from functools import cache
 
 import numpy as np
 import pytest
+import torch
 
-from sarsplat.geometry import ImageGrid, View, radar_frame
+from made import hill, slope, upright
+from sarsplat import Ground, ImageGrid, ScatteringLaw, Terrain, View, radar_frame, render
 from sarsplat.geometry.responses import TAYLOR, Sampled
-from sarsplat.scenes import ScatteringLaw, paper_grid, raycast, simulate_raycast, target_mesh
+from sarsplat.scenes import paper_grid, raycast, simulate_raycast, target_mesh
 from sarsplat.scenes._patches import Patches
 from sarsplat.scenes._rays import tracer
 
@@ -18,6 +20,7 @@ pytest.importorskip("embreex")
 
 CONSTANT = ScatteringLaw(floor=1.0, lobe=0.0)  # γ⁰ = 1 at every incidence
 GRID = ImageGrid(64, 64, (0.3, 0.3), (0.3, 0.3))
+BELOW = pytest.mark.filterwarnings("ignore:.*of the target's surface is below the ground")
 
 
 def box(x, y, z):
@@ -96,7 +99,7 @@ def test_free_ground_is_exact_and_full_shadow_dark(grazing, shadow):
         assert image[dark][:, 24:40].max() < 1e-3 * free
 
 
-@pytest.mark.filterwarnings("ignore:.*of the target's surface is below the ground")
+@BELOW
 def test_what_lies_below_the_ground_is_not_seen():
     buried = box((-2, 2), (-2, 2), (-3, -1))
     image = simulate_raycast(buried, View(0, 45), GRID, CONSTANT, ground_gamma0=0.2)
@@ -231,3 +234,62 @@ def test_the_error_of_the_rays_is_what_finer_rays_tell(t72):
     assert raycast.ray_error_db(t72, view, grid, law, ray_spacing=0.03, **settings) == pytest.approx(true, rel=0.5)
     beside = t72.copy().apply_translation((200, 200, 0))
     assert raycast.ray_error_db(beside, view, grid, law, ray_spacing=0.03, **settings) is None
+
+
+# ---- on terrain: closed forms, and the renderer, which shares nothing with it ----------------------------------------
+HILLY = ImageGrid(48, 48, (0.3, 0.3), (0.45, 0.45))
+LAW = ScatteringLaw(0.5, 0.0)
+
+
+def cube(z: float, side: float = 1.0, x: float = 0.0) -> trimesh.Trimesh:
+    return trimesh.creation.box((side, side, side)).apply_translation((x, 0.0, z))
+
+
+BURIED = cube(-50.0)
+
+
+def cast(mesh: trimesh.Trimesh, view: View, ground: Terrain, law: ScatteringLaw = LAW, **settings: float) -> np.ndarray:
+    settings = {"ground_gamma0": 0.2, "ray_spacing": 0.05, **settings}
+    return simulate_raycast(mesh, view, HILLY, law, terrain=ground, **settings)
+
+
+@BELOW
+@pytest.mark.parametrize(("grazing", "tilt"), [(40.0, 15.0), (40.0, -15.0), (20.0, 0.0)])
+def test_a_slope_is_as_bright_as_its_own_angle_makes_it(grazing, tilt):
+    image = cast(BURIED, View(0.0, grazing), slope(tilt))
+    expected = 0.2 * math.tan(math.radians(grazing + tilt))
+    assert image[12:-12, 12:-12] == pytest.approx(np.full((24, 24), expected), rel=2e-3)
+
+
+@BELOW
+@pytest.mark.parametrize("view", [View(20.0, 30.0), View(200.0, 55.0)])
+def test_a_hill_looks_as_the_renderer_shows_it(view):
+    """Of which the squares of terrain are curved, and here two triangles each."""
+    ground = hill(2.0)
+    rays = cast(BURIED, view, ground, ray_spacing=0.08)
+    rendered = (
+        render(upright([]), [view], HILLY, ground=Ground(torch.tensor(0.2), height_m=ground)).images[0, 0].numpy()
+    )
+    level = 0.2 * math.tan(math.radians(view.grazing_deg))
+    assert rendered.max() > 1.5 * level  # its front, and in one of them its shadow
+    assert rendered.min() < 0.5 * level
+    error = rays - rendered
+    assert math.sqrt(float((error**2).mean())) < 0.03 * level
+    assert abs(float(error.mean())) < 3e-3 * level
+
+
+@BELOW
+def test_hills_hide_targets_and_targets_hills():
+    view, ground = View(0.0, 20.0), hill(2.5, at=(3.0, 0.0), width_m=1.4)
+    shade, lit = (cast(one, view, ground, ground_gamma0=0.0) for one in (cube(0.6), cube(0.6, x=6.3)))
+    assert shade.max() == 0.0
+    assert lit.max() > 0.1
+    bare, behind = (cast(one, view, ground, ScatteringLaw(0.0, 0.0)) for one in (BURIED, cube(1.5, 2.0, x=6.3)))
+    assert behind.sum() < bare.sum() - 1.0
+    assert (behind <= bare + 1e-4).all()
+
+
+@BELOW
+def test_level_beyond_its_end():
+    image = cast(BURIED, View(70.0, 45.0), Terrain(np.zeros((2, 2)), (1.0, 1.0)))
+    assert image == pytest.approx(np.full(image.shape, 0.2), rel=2e-3)

@@ -10,22 +10,12 @@ import pytest
 
 from made import slope
 from refusals import Do, Refusals, check_refused, stored
-from sarsplat.geometry import ImageGrid, Stack, View
+from sarsplat import ImageGrid, Mechanisms, ScatteringLaw, Stack, View, simulate_images
 from sarsplat.geometry.responses import TAYLOR
-from sarsplat.scenes import (
-    Mechanisms,
-    ScatteringLaw,
-    add_speckle,
-    load_mesh,
-    simulate_raycast,
-    simulate_stack,
-    surface_gaussians,
-    target_mesh,
-)
+from sarsplat.scenes import add_speckle, load_mesh, simulate_raycast, simulate_stack, surface_gaussians, target_mesh
 from sarsplat.scenes.meshes import scaled
 from sarsplat.scenes.raycast import raycast_mask
 from sarsplat.scenes.scattering import part_reflectivity
-from sarsplat.scenes.simulate import simulate_images
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("embreex")
@@ -33,9 +23,8 @@ pytest.importorskip("embreex")
 VIEW, GRID, LAW = View(0, 45), ImageGrid(64, 64, (0.3, 0.3), (0.3, 0.3)), ScatteringLaw(1.0, 0.0)
 BOX = trimesh.creation.box((2.0, 2.0, 1.0))
 
+
 # ---- meshes ----
-
-
 def mesh(name: str, text: str) -> Do:
     return stored(text.encode(), load_mesh, name)
 
@@ -65,9 +54,8 @@ MESHES: Refusals = [
     (lambda _: surface_gaussians(trimesh.creation.box((7000, 3600, 2000)), 0.1), "if it is in millimetres"),
 ]
 
+
 # ---- how they scatter ----
-
-
 def mechanisms(**settings: Any) -> Do:
     return lambda _: Mechanisms(**{"of_faces": np.zeros(12, np.int64), **settings})
 
@@ -97,9 +85,8 @@ LAWS: Refusals = [
     (mechanisms(polarisations="HV"), "polarisations is 'HV'" + DIFFERENT),
 ]
 
+
 # ---- simulations ----
-
-
 def cast(mesh: Any = BOX, **settings: Any) -> Do:
     return lambda _: simulate_raycast(mesh, VIEW, GRID, LAW, **settings)
 

@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from sarsplat.geometry import ImageGrid, View
-from sarsplat.scenes import ScatteringLaw, simulate_raycast
+from sarsplat import ImageGrid, ScatteringLaw, View, simulate_raycast
 from sarsplat.scenes.raycast import RayCaster
 from sarsplat.scenes.simulate import simulate_images, simulation_record
 

@@ -1,14 +1,21 @@
-"""Images from either source of truth, and their speckle."""
+"""Simulated images and stacks, from either source of truth, on several views at once."""
 
 import json
+import math
+import threading
+import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
 
-from sarsplat.geometry import ImageGrid, View
-from sarsplat.scenes import ScatteringLaw, add_speckle, paper_grid
+from made import upright
+from sarsplat import ImageGrid, Stack, View, radar_frame, render_covariances
+from sarsplat.geometry.responses import TAYLOR
+from sarsplat.scenes import Mechanisms, ScatteringLaw, add_speckle, paper_grid, simulate_raycast, simulate_stack
+from sarsplat.scenes._parallel import in_order
+from sarsplat.scenes.mechanisms import MATRICES
 from sarsplat.scenes.meshes import scaled
 from sarsplat.scenes.raycast import default_ray_spacing
 from sarsplat.scenes.simulate import simulate_images, simulation_record
@@ -100,3 +107,145 @@ def test_speckle_is_multiplicative_and_reproducible():
     assert speckled[0, 0] == 0
     np.testing.assert_array_equal(speckled, add_speckle(power, 1, np.random.default_rng(3)))
     np.testing.assert_allclose(add_speckle(10 * power, 1, np.random.default_rng(3)), 10 * speckled)
+
+
+# ---- stacks: power of the ray caster, phases of geometry, V of mechanisms --------------------------------------------
+VIEW, FINE = View(0.0, 45.0), ImageGrid(40, 36, (0.5, 0.5), (0.7, 0.7))
+STACK, LAW = Stack(0.031, (0.0, 0.0004, 0.001)), ScatteringLaw(1.0, 0.0, 1.0)
+
+
+def box() -> trimesh.Trimesh:
+    return trimesh.creation.box((4.0, 6.0, 5.0)).apply_translation((0.0, 0.0, 2.5))
+
+
+def drawn(mesh: trimesh.Trimesh, count: int, stack: Stack = STACK, grid: ImageGrid = FINE, **settings) -> np.ndarray:
+    """Signals of several seeds."""
+    settings = {"spacing_m": 0.14, **settings}
+    return np.stack([simulate_stack(mesh, VIEW, grid, stack, LAW, seed=k, **settings) for k in range(count)])
+
+
+@pytest.mark.parametrize("grid", [FINE, ImageGrid(30, 28, (0.5, 0.6), (0.7, 0.8), response=TAYLOR)])
+def test_power_is_that_of_the_ray_caster(grid: ImageGrid) -> None:
+    """Means over draws, and over blocks of pixels."""
+    powers = (np.abs(drawn(box(), 24, grid=grid, ground_gamma0=0.4)) ** 2).mean(0)
+    expected = simulate_raycast(box(), VIEW, grid, LAW, ground_gamma0=0.4)
+    for power in powers:
+        blocks = [image[:28, :28].reshape(7, 4, 7, 4).mean((1, 3)) for image in (power, expected)]
+        assert np.abs(blocks[0] - blocks[1]).max() < 0.3 * expected.max()
+        assert power.mean() == pytest.approx(expected.mean(), rel=0.05)
+
+
+@pytest.mark.filterwarnings("ignore:.*of the target's surface is below the ground")
+def test_phases_are_those_of_heights() -> None:
+    """Flat ground has none once it is deramped; its coherence is the response's."""
+    signals = drawn(trimesh.creation.box((0.01, 0.01, 0.01)).apply_translation((0, 0, -5)), 8, ground_gamma0=1.0)
+    deramped = signals * np.exp(-1j * STACK.plane_phases(VIEW, FINE))
+    for n in (1, 2):
+        pair = (deramped[:, n] * deramped[:, 0].conj()).mean()
+        coherence = pair / np.sqrt((np.abs(deramped[:, n]) ** 2).mean() * (np.abs(deramped[:, 0]) ** 2).mean())
+        kappa = STACK.elevation_numbers(VIEW)[n] - STACK.elevation_numbers(VIEW)[0]
+        blurred = math.exp(-0.5 * (kappa * math.tan(math.radians(45))) ** 2 * FINE.response_variance_m2[1])
+        assert np.angle(coherence) == pytest.approx(0, abs=0.02)
+        assert abs(coherence) == pytest.approx(blurred, abs=0.02)
+
+
+@pytest.mark.parametrize("transmit", ["each", "one"])
+@pytest.mark.parametrize("view", [View(70.0, 30.0), View(200.0, 55.0)])
+def test_signs_are_those_of_distances_from_the_antennas(view: View, transmit: str) -> None:
+    """As docs/concepts/stacks.md draws them: simulated signals, rendered covariances and distances agree in sign."""
+    stack = Stack(0.031, (0.0, 0.0007), transmit)
+    per_metre = (4 if transmit == "each" else 2) * math.pi / 0.031
+    level, up = stack.plane_phases(view, FINE), radar_frame(view)[1]
+    far = 1e6  # m
+    antennas = [far * (view.direction + offset * up) for offset in stack.offsets_rad]
+    assert antennas[1][2] > antennas[0][2]  # a positive offset: seen higher
+    for height in (-3.0, 2.0, 5.0):
+        place = np.array([0.0, 0.0, height])
+        below = place - height / math.cos(math.radians(view.grazing_deg)) * up  # on the plane, at the same range
+        assert below[2] == pytest.approx(0)
+        farther = [math.dist(antenna, place) - math.dist(antenna, below) for antenna in antennas]
+        expected = -per_metre * (farther[1] - farther[0])
+        assert math.copysign(1, expected) == math.copysign(1, height)
+        plate = trimesh.creation.box((3.0, 3.0, 0.01)).apply_translation(place)
+        signals = simulate_stack(plate, view, FINE, stack, LAW)
+        flat = upright(place, [0.8, 0.8, 0.01], 4.0)
+        for pair in (signals[1] * signals[0].conj(), render_covariances(flat, [view], FINE, stack)[0, 1, 0].numpy()):
+            deramped = (pair * np.exp(-1j * (level[1] - level[0]))).sum()
+            assert np.angle(deramped) == pytest.approx(expected, abs=0.03)
+
+
+def test_noise_is_in_each_pass_alone_and_seeds_say_all() -> None:
+    far = box().apply_translation((500.0, 0, 0))
+    found = simulate_stack(far, VIEW, FINE, STACK, LAW, noise=0.3)
+    assert (np.abs(found) ** 2).mean() == pytest.approx(0.3, rel=0.1)
+    assert abs((found[0] * found[1].conj()).mean()) < 0.03
+    again = [simulate_stack(box(), VIEW, FINE, STACK, LAW, noise=0.1, seed=seed) for seed in (3, 3, 4)]
+    assert np.array_equal(again[0], again[1])
+    assert not np.array_equal(again[0], again[2])
+
+
+def test_polarisations_go_together_as_their_mechanisms_say() -> None:
+    """Means over draws, of the top, the sides and the ground; each of the passes has all polarisations."""
+    names = ("HH", "HV", "VV")
+    plate = trimesh.creation.box((40.0, 40.0, 0.01))
+    stack = Stack(0.031, (0.0,) * 3 + (0.0004,) * 3, polarisations=names * 2)
+    beta0 = simulate_raycast(plate, VIEW, FINE, LAW).mean()
+    for mechanism, matrix in enumerate(MATRICES):
+        signals = drawn(plate, 3, stack, mechanisms=Mechanisms(np.full(len(plate.faces), mechanism)))
+        found = np.einsum("kirc,kjrc->ij", signals, signals.conj()) / signals[:, 0].size
+        expected = beta0 * matrix
+        for first in (slice(0, 3), slice(3, 6)):
+            assert np.linalg.norm(found[first, first] - expected) < 0.12 * np.linalg.norm(expected)
+        assert np.angle(found[3, 0]) == pytest.approx(np.angle(found[5, 2]), abs=0.1)  # the pass's, not theirs
+
+
+def test_mechanisms_by_slope() -> None:
+    made = trimesh.creation.icosphere(3)
+    kinds = Mechanisms.by_slope(made).of_faces
+    upward = np.abs(made.face_normals[:, 2])
+    assert (kinds[upward > 0.95] == 0).all()
+    assert (kinds[upward < 0.05] == 1).all()
+    assert (kinds[np.abs(upward - 0.5) < 0.3] == 2).all()
+    for matrix in MATRICES:
+        assert np.trace(matrix).real == pytest.approx(3)
+
+
+# ---- several views at once: order, progress and its end --------------------------------------------------------------
+@pytest.fixture(params=[1, 3])
+def workers(request, threads):
+    threads(request.param)
+    return request.param
+
+
+def test_results_come_in_order_with_progress_within_each(workers):
+    shares = []
+
+    def work(item, report):
+        for step in range(4):
+            report(step / 4)
+            time.sleep(0.15 if item == 0 else 0.01)
+        return item**2
+
+    assert list(in_order(work, range(5), shares.append)) == [0, 1, 4, 9, 16]
+    assert shares == sorted(shares) and any(share % 1 for share in shares) and max(shares) < 5
+
+
+def test_an_error_or_ctrl_c_ends_the_others(workers):
+    begun, ended, waits = threading.Event(), [], [0]
+
+    def work(item, report):
+        if item == 0:
+            raise KeyboardInterrupt
+        begun.set()
+        try:
+            for _ in range(1000):
+                report(0.5)
+                waits[0] += 1
+                time.sleep(0.01)
+        finally:
+            ended.append(item)
+
+    with pytest.raises(KeyboardInterrupt):
+        list(in_order(work, range(10)))
+    assert waits[0] < 200  # two seconds of the ten that one takes to its end, however busy the machine
+    assert len(ended) <= workers

@@ -17,7 +17,7 @@ from sarsplat import Gaussians, ImageGrid, Terrain, View, extract_points
 from sarsplat.learning.strategies.growth import holding
 from sarsplat.learning.strategies.ops import whole_sums
 from sarsplat.scenes import surface_gaussians, target_mesh
-from sarsplat.scenes.village import village as made_village
+from sarsplat.scenes import village as made_village
 from sarsplat.settings.sections import PointExtraction
 from sarsplat.surface import cells, first_returns, neighbours, normals, points
 from sarsplat.surface.mesh import surface_mesh
@@ -111,9 +111,7 @@ def test_a_village_is_that_of_the_cpu(village: Scene, elsewhere: Any) -> None:
     same(village, elsewhere)
 
 
-def test_parts_at_a_time_are_as_on_the_cpu(
-    scenes: dict[str, Scene], elsewhere: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_parts_are_as_on_the_cpu(scenes: dict[str, Scene], elsewhere: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Many points, many rays, and bricks."""
     monkeypatch.setattr(cells, "MOST_WAITING", 5000)
     monkeypatch.setattr(points, "_COARSEST", 1e-3)

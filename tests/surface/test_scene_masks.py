@@ -8,8 +8,7 @@ import pytest
 import torch
 
 from made import upright
-from sarsplat.gaussians import Gaussians
-from sarsplat.gaussians.ground import Ground
+from sarsplat.gaussians import Gaussians, Ground
 from sarsplat.geometry import CLUTTER, SHADOW, TARGET, ImageGrid, RayGrid, View
 from sarsplat.learning.method_sar_gs import GaussianReconstruction
 from sarsplat.scenes.raycast import raycast_mask

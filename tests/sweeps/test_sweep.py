@@ -19,10 +19,9 @@ from sarsplat.cli import main
 from sarsplat.evaluation import Scores, Yardstick, summary_metrics
 from sarsplat.executors import EXECUTORS, Means
 from sarsplat.runs.run_folder import LogLine, log_text
-from sarsplat.sweeps import Results, cell, fleet, work
+from sarsplat.sweeps import Plan, Results, cell, fleet, work
 from sarsplat.sweeps.cell import cells_of
 from sarsplat.sweeps.page import _panel
-from sarsplat.sweeps.plan import Plan
 from sarsplat.sweeps.results import Line, Spread
 
 

@@ -1,7 +1,5 @@
 """Several runs at a time in one process, as on a GPU: the same bits, answers that fit, and no other run is lost."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -23,12 +21,9 @@ import msgspec
 import pytest
 import torch
 
-from sarsplat import SarsplatError, sweep
-from sarsplat.errors import SarsplatWarning
+from sarsplat import SarsplatError, SarsplatWarning, Trainer, sweep
 from sarsplat.executors import Means, executor_local, executor_ray
 from sarsplat.executors.executor_local import Answers, Worker, serve
-from sarsplat.learning import Trainer
-from sarsplat.renderer.engines import choice, cuda, on_device
 from sarsplat.sweeps.cell import Cell, cells_of
 from sarsplat.sweeps.plan import Plan
 from sarsplat.sweeps.work import RUN, Row, caught, do, row_of
@@ -132,25 +127,14 @@ def test_a_worker_ends_with_its_parent(place, endless):
 
 
 def test_runs_in_threads_on_an_emulated_gpu_have_the_same_bits(place, plan, cells, results, library, monkeypatch):
-    from emulated_cuda import Emulator
-    from emulated_recorder import EmulatedRecorder
+    from emulated_cuda import Emulator, on_emulated_gpu
 
-    launcher, recorded = Emulator(library), []
-    engine = choice.Engine(
-        "cpu", lambda *_: partial(cuda.Pass, launcher), takes_bounds=True, recorder=lambda _: EmulatedRecorder(launcher)
-    )
-    monkeypatch.setitem(choice.ENGINES, "cuda", engine)
-    monkeypatch.setitem(choice.ENGINES, "cpu", replace(choice.ENGINES["cpu"], device_type="none"))
-    monkeypatch.setattr(on_device, "queue_of", lambda device: threading.get_ident())
-    step = Trainer.step
+    step, recorded = Trainer.step, []
     monkeypatch.setattr(Trainer, "step", lambda self: (step(self), recorded.append(self.records))[0])
-    choice._fitting.cache_clear()
-    try:
+    with on_emulated_gpu(Emulator(library)):
         sweep(plan | {"seeds": SEEDS}, place / "alone", executor="here", quiet=True)
         with ThreadPoolExecutor(len(cells)) as pool:
             rows = [*pool.map(partial(do, out=place / "out"), cells)]
-    finally:
-        choice._fitting.cache_clear()
     assert [row.state for row in rows] == ["finished"] * 3
     assert all(recorded)
     assert results(place / "out") == results(place / "alone")
@@ -213,9 +197,7 @@ def test_how_many_share_a_gpu_unasked(place, plan, made, monkeypatch, count, pro
 
 
 def test_per_device_is_for_plans_with_a_gpu(place, plan):
-    with pytest.raises(
-        SarsplatError, match="per_device is 2, but no run of the plan is on a GPU; leave it out, or give"
-    ):
+    with pytest.raises(SarsplatError, match="per_device is 2, but no run of the plan is on a GPU; leave it out, or"):
         sweep(plan, place / "out", means=Means(per_device=2), quiet=True)
     with pytest.raises(SarsplatError, match="per_device is 0; give a finite number from 1"):
         Means(per_device=0)

@@ -10,14 +10,10 @@ import tifffile
 import torch
 
 from made import hill, upright
+from sarsplat import Gaussians, Ground, Harmonics, SarsplatError, render, write_gaussians_ply
 from sarsplat.cli import main
-from sarsplat.data import write_gaussians_ply
-from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import Gaussians, Harmonics
-from sarsplat.gaussians.ground import Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View, radar_frame
 from sarsplat.learning import model
-from sarsplat.renderer import render
 from sarsplat.tiles import at_once, render_tiled, tiles_kept_in
 from sarsplat.tiles import render as module
 

@@ -8,8 +8,7 @@ from dataclasses import replace
 import pytest
 
 from made import FEW_POINTS, box_dataset
-from sarsplat import Dataset, ImageGrid, Run, preset, reconstruct
-from sarsplat.settings import Config
+from sarsplat import Config, Dataset, ImageGrid, Run, preset, reconstruct
 
 GRID = ImageGrid(40, 32, (0.3, 0.24), (0.45, 0.4))
 

@@ -13,14 +13,12 @@ from typing import Any
 
 import pytest
 
-from sarsplat.errors import SarsplatError
+from sarsplat import SarsplatError, viewer
+from sarsplat.viewer.server import Newest, _served_on, start_server, stop_server
 
 pytest.importorskip("viser")
 
 from websockets.asyncio import server as library
-
-from sarsplat import viewer
-from sarsplat.viewer.server import Newest, _served_on, start_server, stop_server
 
 
 @pytest.fixture

@@ -1,0 +1,216 @@
+"""Choices by trying: the quicker device, and settings by evidence."""
+
+import time
+import warnings
+from dataclasses import replace
+from functools import cache
+from typing import Any, cast
+
+import numpy as np
+import pytest
+import torch
+from scipy.ndimage import gaussian_filter
+
+from made import dataset_of
+from sarsplat import PRESETS, Dataset, ImageGrid, Run, SarsplatError, View, reconstruct, simulate_images
+from sarsplat.learning import evidence
+from sarsplat.learning.device_choice import quicker_device
+from sarsplat.learning.evidence import chosen, differences
+from sarsplat.learning.method_sar_gs import METHOD
+from sarsplat.renderer.engines import cpu
+from sarsplat.runs import reconstruction
+
+GPU = torch.device("cuda", 0)
+
+
+class Taking:
+    """A training whose steps take so many seconds."""
+
+    def __init__(self, seconds: float) -> None:
+        self.seconds, self.steps = seconds, 0
+        warnings.warn("as ever", UserWarning, stacklevel=1)
+
+    def step(self) -> None:
+        self.steps += 1
+        time.sleep(self.seconds)
+
+    def check(self) -> None:
+        pass
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(("on_gpu", "on_cpu", "chosen"), [(0.001, 0.02, "cuda"), (0.02, 0.001, "cpu")])
+def test_the_quicker_one(on_gpu: float, on_cpu: float, chosen: str) -> None:
+    made: list[tuple[str, Taking]] = []
+
+    def make(where: torch.device) -> Taking:
+        made.append((where.type, Taking(on_gpu if where == GPU else on_cpu)))
+        return made[-1][1]
+
+    where, said = quicker_device(make, GPU, 1000)  # type: ignore[arg-type]
+    assert where.type == chosen
+    assert [kind for kind, _ in made] == ["cuda", "cpu"]
+    if chosen == "cuda":
+        assert said == ""
+        assert made[1][1].steps < 5  # it is not waited for
+    else:
+        assert said.startswith("training on the CPU: a step takes 1.")
+        assert " ms there, and 2" in said
+        assert said.endswith("device cuda takes the GPU nevertheless")
+
+
+@pytest.mark.parametrize(
+    ("fails", "chosen", "message"),
+    [("cuda", "cpu", "training on the CPU: on the GPU, the memory of cuda:0 is not enough"), ("cpu", "cuda", "")],
+)
+def test_where_a_step_fails_it_is_not_done(fails: str, chosen: str, message: str) -> None:
+    class Failing(Taking):
+        def step(self) -> None:
+            raise SarsplatError("the memory of cuda:0 is not enough\nfor it")
+
+    where, said = quicker_device(lambda where: (Failing if where.type == fails else Taking)(0.001), GPU, 1000)  # type: ignore[arg-type, return-value]
+    assert (where.type, said) == (chosen, message)
+
+
+def test_what_is_said_once_of_the_cpu_engine_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cpu, "torch_pool", lambda: None)
+    monkeypatch.setattr(cpu, "library", cache(cpu.library.__wrapped__))
+    with pytest.warns(UserWarning, match="runs on one thread"):
+        quicker_device(lambda _: Taking(0.001), GPU, 1000)  # type: ignore[arg-type, return-value]
+    monkeypatch.undo()
+    cpu.library.cache_clear()
+    cpu.library()  # with torch's threads again
+
+
+def test_a_reconstruction_says_so(
+    dataset: Dataset, config, tmp_path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    named, asked = reconstruction.device_named, []
+    monkeypatch.setattr(reconstruction, "device_named", lambda name: GPU if name == "auto" else named(name))
+    monkeypatch.setattr(
+        reconstruction,
+        "quicker_device",
+        lambda make, gpu, _: asked.append(gpu) or (torch.device("cpu"), "on the CPU: said"),
+    )
+    run = reconstruct(dataset, config, tmp_path / "run", on_step=lambda step: step.iteration == 21)
+    assert "on the CPU: said" in capsys.readouterr().out
+    assert (asked, run.trained_on, Run.load(tmp_path / "run").trained_on) == ([GPU], "cpu", "cpu")
+    reconstruct(dataset, config, tmp_path / "run", resume=True)  # on the CPU again, without a question
+    assert len(asked) == 1
+
+
+def test_a_loss_of_ones_own_is_on_the_gpu_untried(dataset: Dataset, config, monkeypatch: pytest.MonkeyPatch) -> None:
+    class ReachedError(Exception):
+        pass
+
+    def trainer(self: object, dataset: object, config: object, inputs: object, device: object, begun: object) -> None:
+        assert device == GPU
+        raise ReachedError
+
+    monkeypatch.setattr(reconstruction, "device_named", lambda name: GPU)
+    monkeypatch.setattr(reconstruction, "quicker_device", lambda *_: pytest.fail("is tried"))
+    monkeypatch.setattr(type(METHOD), "trainer", trainer)
+    with pytest.raises(ReachedError):
+        reconstruct(dataset, replace(config, iterations=1000), loss=lambda a, b: (a - b).abs().mean())
+
+
+def test_few_iterations_are_not_tried() -> None:
+    assert quicker_device(lambda where: pytest.fail("is tried"), GPU, 100) == (GPU, "")
+
+
+# ---- settings: images with gains of their own are measured ones, others are a scene ----------------------------------
+GRID = ImageGrid(56, 56, (0.3, 0.3), (0.3, 0.3))
+VIEWS = [View(azimuth, grazing) for azimuth in range(0, 360, 45) for grazing in (35.0, 50.0)]
+GAIN_DB = 2.0
+
+
+@pytest.fixture(scope="module")
+def scene() -> Dataset:
+    """A box on speckled ground."""
+    trimesh = pytest.importorskip("trimesh")
+    pytest.importorskip("embreex")
+    mesh = trimesh.creation.box((4.0, 2.5, 1.5))
+    mesh.apply_translation([0.5, 0, 0.75])
+    power = simulate_images(mesh, VIEWS, GRID, ground_gamma0=0.05, looks=1, ray_spacing=0.05)
+    return dataset_of(GRID, [(view, "train") for view in VIEWS], power, looks=1.0, ground=True)
+
+
+def gained(scene: Dataset) -> Dataset:
+    signs = np.random.default_rng(3).permutation([-1, 1] * (len(scene) // 2))
+    gains = 10 ** (GAIN_DB * signs / 10)
+    return replace(scene, power=(scene.power * gains[:, None, None]).astype(np.float32))
+
+
+def test_images_of_one_scale_and_place_need_no_nuisances(scene: Dataset) -> None:
+    config = chosen(scene)
+    assert replace(config, evidence="") == PRESETS["scene"]
+    assert "0 of 16 images displaced; too little, so neither gains nor shifts are learned" in config.evidence
+    assert METHOD.preset("auto", scene) == config
+
+
+def test_chips_with_gains_of_their_own_are_measured_ones(scene: Dataset) -> None:
+    config = chosen(gained(scene))
+    assert replace(config, evidence="") == PRESETS["measured"]
+    told_db = float(config.evidence.split("differ by ")[1].split()[0])
+    assert told_db == pytest.approx(GAIN_DB, rel=0.3)
+
+
+class Rendered:
+    """In place of a trial: what images without speckle show."""
+
+    def __init__(self, power: np.ndarray) -> None:
+        self.images = dict(zip(VIEWS, power, strict=True))
+
+    def rendered(self, views: list[View]) -> np.ndarray:
+        return np.stack([self.images[view] for view in views])
+
+
+@pytest.mark.parametrize(
+    ("gain_db", "rolls", "displaced", "needed"),
+    [
+        (0.15, [0, 0, 0, 0], 0, False),
+        (0.5, [0, 0, 0, 0], 0, True),
+        (0.0, [1, 1, 1, 1], 0, False),
+        (0.0, [0, 0, 0, 1], 4, False),
+        (0.0, [0, 1, -1, 1], 12, True),
+    ],
+)
+def test_gains_count_from_a_quarter_decibel_and_displacements_that_images_do_not_share(
+    scene: Dataset, gain_db: float, rolls: list[int], displaced: int, needed: bool
+) -> None:
+    signs = np.random.default_rng(3).permutation([-1, 1] * 8)
+    clean = gaussian_filter(scene.power.astype(float), (0, 1.5, 1.5))
+    images = [
+        10 ** (gain_db * k / 10) * np.roll(image, roll, 0)
+        for image, k, roll in zip(clean, signs, 4 * rolls, strict=True)
+    ]
+    found = differences(replace(scene, power=np.array(images, np.float32)), cast(Any, Rendered(clean)))
+    assert found.displaced == displaced and (found.nats < 0) == needed
+
+
+def test_the_scale_of_all_images_changes_no_choice(scene: Dataset) -> None:
+    louder = replace(scene, power=1000 * scene.power)
+    assert chosen(louder).evidence == chosen(scene).evidence
+
+
+def test_a_small_target_in_large_images_is_still_small(scene: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(evidence, "_PIXELS", 28)  # so that the trial sees multilooked images
+    assert replace(chosen(scene), evidence="") == PRESETS["scene"]
+    assert chosen(gained(scene)).preset == "measured"
+
+
+def test_points_and_their_gamma0_follow_the_scale_of_all_images(scene: Dataset) -> None:
+    short = replace(PRESETS["scene"], iterations=30, points=replace(PRESETS["scene"].points, voxel=0.3))
+    quiet, loud = (
+        reconstruct(replace(scene, power=scale * scene.power), short, quiet=True).reconstruction
+        for scale in (np.float32(1), np.float32(1024))
+    )
+    points = quiet.points()
+    assert len(points) > 100
+    assert len(loud.points()) == pytest.approx(len(points), rel=0.02)
+    assert np.median(loud.gamma0_at(points)) == pytest.approx(1024 * np.median(quiet.gamma0_at(points)), rel=0.05)
+
+
+def test_too_few_images_are_a_scene(scene: Dataset) -> None:
+    few = replace(scene, entries=scene.entries[:3], power=scene.power[:3])
+    assert chosen(few).preset == "scene"
