@@ -15,7 +15,7 @@ from sarsplat.data import write_terrain
 from sarsplat.data.mesh import write_mesh
 from sarsplat.scenes.village import village
 
-POINTS = ("cd_m", "accuracy_m", "completeness_m", "f1@0.3", "f1@0.1", "psnr_target_db")
+POINTS = ("cd_m", "accuracy_m", "completeness_m", "f1@0.3", "f1@0.1", "psnr_target_db", "time_s")
 ALL_AROUND: Options = {"azimuth": ("0:360:30",), "grazing": ("35", "50"), "test_azimuth": ("15:360:60",)}
 CONDITIONS: dict[str, Options] = {
     "1 look": {**ALL_AROUND, "looks": 1},
