@@ -204,7 +204,7 @@ def _remedy(kinds: Sequence[Any]) -> str:
 def _remedy_of(kind: Any) -> str:
     origin, members = typing.get_origin(kind) or kind, typing.get_args(kind)
     if origin is Literal:
-        return f"one of {', '.join(map(repr, members))}"
+        return f"{'one of ' if len(members) > 1 else ''}{', '.join(map(repr, members))}"
     if origin in _SEQUENCES:
         return f"{f'{number} values' if (number := _tuple_length(kind)) else 'a list'}, each {_remedy(_items(kind))}"
     name = kind if isinstance(kind, str) else origin.__name__

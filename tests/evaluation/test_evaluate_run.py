@@ -270,7 +270,7 @@ def test_no_mesh_no_points_and_black_pixels_are_results_not_errors(make):
         ({"points": False, "mesh": "t.ply"}, "points are left out, but"),
         ({"mesh": "no-such.ply"}, "no-such"),
         ({"mesh": "broken.ply"}, r"the true mesh cannot be used: .*broken\.ply"),
-        ({"alignment": "soft"}, "'soft' is unknown; choose none or rigid"),
+        ({"alignment": "soft"}, "'soft'; give one of 'none', 'rigid'"),
         ({"alignment": "rigid"}, "has no true mesh to align the points to"),
         ({"lpips_weights": "here"}, r"here holds no usable LPIPS weights .*alexnet_features_torchvision\.npz"),
         ({WEIGHTS_VARIABLE: "absent"}, "absent holds no usable LPIPS weights"),

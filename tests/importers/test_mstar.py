@@ -79,9 +79,7 @@ def test_all_chips_of_a_depression_can_be_trained_on(chips):
     assert both.splits() == ("train",) and len(both) == 10
 
 
-@pytest.mark.parametrize(
-    "options", [{"train_views": 0}, {"train_views": "most"}, {"train_depression": ()}, {"train_depression": (17, 17)}]
-)
+@pytest.mark.parametrize("options", [{"train_views": 0}, {"train_depression": ()}, {"train_depression": (17, 17)}])
 def test_what_no_chips_can_satisfy_is_refused_before_they_are_read(chips, options, monkeypatch):
     monkeypatch.setattr("sarsplat.importers.mstar.read_chips", None)
     with pytest.raises(SarsplatError, match="give a number from 1 or 'all', and at least one angle, each once"):

@@ -198,7 +198,7 @@ def test_images_without_azimuth_are_located_too(runs: dict[str, Run], images: li
         ({"images": []}, "there are no images of the set test"),
         ({"split": "test-9"}, "there are no images of the set test-9"),
         ({"step_deg": 7}, "step_deg is 7; give a divisor of 360"),
-        ({"ground": "wet"}, "ground is 'wet'; give learned or flat"),
+        ({"ground": "wet"}, "ground is 'wet'; give one of 'learned', 'flat'"),
         ({"ground": "flat"}, "a run has learned no ground"),
         ({"window_m": 0.2}, "images of 44 × 40 pixels leave no window"),
         ({"images": "nowhere"}, "nowhere contains neither datasets nor pictures"),

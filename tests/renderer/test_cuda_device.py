@@ -233,7 +233,7 @@ def test_the_verdict_is_kept_until_something_changes(passed, monkeypatch, tmp_pa
 def test_a_wrong_kernel_means_one_warning_and_the_cpu(trials, monkeypatch):
     usual = trials.gpu.launch
 
-    def launch(name: str, blocks: int, threads: int, problem: ctypes.Structure, *others: ctypes._CData) -> None:
+    def launch(name: str, blocks: int, threads: int, problem: ctypes.Structure, *others: "ctypes._CData") -> None:
         if name == "attenuate_chunks":  # whose rays stop far too early
             problem = type(problem).from_buffer_copy(problem)
             problem.min_transmittance = 0.9

@@ -154,7 +154,9 @@ def test_magnitudes_of_chips_scaled_alone(datasets: list[Path], tmp_path: Path, 
 def test_power_in_eight_bits_is_read_as_power_or_not_at_all(datasets: list[Path], tmp_path: Path) -> None:
     out, labels = tmp_path / "out", tmp_path / "out" / "labels.csv"
     write_measured_chips(datasets, out, Encoding(format="png", quantity="power"))
-    with pytest.raises(SarsplatError, match="which is for power, but they are taken for amplitude; the quantity must"):
+    with pytest.raises(
+        SarsplatError, match="which is for power, but they are taken for amplitude; give `quantity='power'`"
+    ):
         import_folder(out, tmp_path / "a", target_class="BMP2", quantity="amplitude")
     with pytest.raises(SarsplatError, match=r"is at the bottom \(near_side\), but `near` is top; leave it out"):
         import_folder(out, tmp_path / "a", target_class="BMP2", near="top")

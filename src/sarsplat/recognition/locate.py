@@ -12,7 +12,7 @@ import numpy as np
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data import Dataset
-from sarsplat.errors import SarsplatError, SarsplatWarning, shown
+from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.geometry import ImageGrid
 from sarsplat.memory import required
 from sarsplat.names import Side
@@ -107,8 +107,6 @@ def locate(
         raise SarsplatError("there are no runs to compare images with; give at least one")
     if not (0 < step_deg <= 45) or 360 % step_deg:
         raise SarsplatError(f"step_deg is {step_deg}; give a divisor of 360 up to 45, such as 3")
-    if ground not in ("learned", "flat"):
-        raise SarsplatError(f"ground is {shown(ground)}; give learned or flat")
     opened = [run if isinstance(run, Run) else Run.load(run) for run in runs]
     opened.sort(key=lambda run: (target_of(run), run.fingerprint, str(run.path)))
     settings: dict[str, Any] = {"ground": ground, "step_deg": float(step_deg), "window_m": window_m}

@@ -57,7 +57,8 @@ def _explained(located: Located) -> Figure:
     blocks = [_block(located, int(index)) for index in chosen]
     text = (
         f"{counted(len(blocks), 'image')}, first wrong and doubtful ones, then others, evenly chosen; beside each, the "
-        "rendering of the class and azimuth that were found, displaced and scaled as found. The radar is above."
+        "rendering of the class and azimuth that were found, displaced and scaled as found, on the learned ground. The "
+        "radar is above."
     )
     bar = colour_bar("power, dB relative to the brightest pixels of the image", POWER, -DYNAMIC_RANGE_DB, 0)
     return Figure("Images and what explains them", text, tuple(blocks), (bar,), layout="beside")

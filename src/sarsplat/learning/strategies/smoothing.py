@@ -51,10 +51,14 @@ class Smoothed(Configured):
     def due(self, step: int) -> bool:
         return step > 0 and at_round(step, 0, self._iterations, self._config.rounds)
 
+    def step_post_backward(
+        self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
+    ) -> None:
+        if info.model.levels.coarsest > 1:  # vehicles have no large flat surfaces
+            super().step_post_backward(params, optimizers, state, step, info)
+
     @torch.no_grad()
     def act(self, params: dict[str, Tensor], optimizers: Optimiser, state: State, info: Info) -> None:
-        if info.model.levels.coarsest == 1:  # vehicles have no large flat surfaces
-            return
         cell_m, means = info.images.grid.cell_m, params["means"].detach()
         quaternions, scales = params["quaternions"].detach(), params["scales"].detach()
         shortest = scales.argmin(1, keepdim=True)
