@@ -25,7 +25,8 @@ from torch.utils._pytree import tree_leaves
 from sarsplat import Gaussians, Ground, ImageGrid, RayGrid, View
 from sarsplat.renderer import Bounds, Rendering
 from sarsplat.renderer.echoes import Echo, GroundEcho
-from sarsplat.renderer.engines import choice, cuda, nvrtc, on_device
+from sarsplat.renderer.engines import choice, cuda, on_device
+from sarsplat.renderer.engines.abi import SOURCES
 from sarsplat.renderer.engines.cuda_device import Launcher
 from sarsplat.renderer.operations import render_with
 
@@ -46,7 +47,7 @@ SCHEDULES: dict[str, Callable[[int], list[int]]] = {
 """In which order the threads of a block take turns."""
 
 
-def compile_emulator(folder: Path, sources: Path = nvrtc.SOURCES, flags: tuple[str, ...] = STRICT) -> Path:
+def compile_emulator(folder: Path, sources: Path = SOURCES, flags: tuple[str, ...] = STRICT) -> Path:
     """A shared library: the emulator with the engine's kernels in it, kept in `folder` until a source changes."""
     texts = [path.read_bytes() for part in (sources, HERE) for path in sorted(part.iterdir())]
     library = folder / f"emulator-{hashlib.sha256(repr((texts, FLAGS, flags)).encode()).hexdigest()[:24]}.so"
@@ -64,7 +65,7 @@ def compile_emulator(folder: Path, sources: Path = nvrtc.SOURCES, flags: tuple[s
 def mutated(kept: Path, folder: Path, file: str, before: str, after: str) -> Path:
     """The emulator with one place of a source file changed, in `kept` like the other; `folder` is for its sources."""
     folder.mkdir()
-    for path in nvrtc.SOURCES.iterdir():
+    for path in SOURCES.iterdir():
         if path.suffix in (".cu", ".cuh", ".h"):
             (folder / path.name).write_text(path.read_text())
     text = (folder / file).read_text()
@@ -80,7 +81,7 @@ class _LeftOut(ctypes.Structure):
 @contextmanager
 def without_barrier(library: Path, file: str, which: int) -> Iterator[None]:
     """Meanwhile threads do not wait for each other at that barrier of a source file."""
-    lines = (nvrtc.SOURCES / file).read_text().splitlines()
+    lines = (SOURCES / file).read_text().splitlines()
     line = [number for number, text in enumerate(lines, 1) if "__syncthreads();" in text][which]
     left_out = _LeftOut.in_dll(ctypes.CDLL(str(library)), "left_out")
     left_out.file, left_out.line = file.encode(), line
