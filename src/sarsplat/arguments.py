@@ -150,7 +150,10 @@ def _is_a(value: object, kind: Any) -> bool:
         return value is kind or any(cls.__name__ == kind for cls in type(value).__mro__)
     origin = typing.get_origin(kind) or kind
     if origin is Literal:
-        return any(type(value) is type(choice) and value == choice for choice in typing.get_args(kind))
+        return any(
+            isinstance(value, type(choice)) and isinstance(value, bool) == isinstance(choice, bool) and value == choice
+            for choice in typing.get_args(kind)
+        )
     if origin is Callable:
         return callable(value)
     if origin in _SEQUENCES:

@@ -233,6 +233,7 @@ def test_factors_of_producers(tmp_path, said, factor, kind, compression):
     values = read_values(path, None, 1.0, 0.0)
     assert (values.power_factor, values.tags.backscatter) == (pytest.approx(factor), kind)
     assert read_values(path, None, 2.0, 0.0).power_factor == 1.0
+    assert read_values(path, None, 1.0, 0.0, own=False).power_factor == 1.0  # of a table with scales for some
 
 
 def test_complex_numbers_of_halves_and_bytes(tmp_path):

@@ -43,7 +43,7 @@ FOLDERS: list[Case] = [
     ("like the grazing", "file,azimuth,x", [30], {}, {"columns": {"incidence": "x"}}),
     ("like the spacing", NEW, [30], {"spacing_m": None}, {"spacing_m": (0.1, 0.3)}),
     (
-        "flight or sight",
+        "direction of flight",
         "file,track,grazing",
         [30],
         {"columns": {"az": "track"}},

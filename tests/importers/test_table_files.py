@@ -61,7 +61,7 @@ def test_incidence_angles_in_radians_and_azimuths_in_thousandths(tmp_path):
             "'Azimuth .mil.' for the azimuth, whose name does not state one",
         ),
         ("azimuth_m", {}, "'azimuth_m' for the azimuth, whose name does not state one unit of angle; give degrees"),
-        ("bearing", {}, "'bearing' for the azimuth, which by its name is a direction of flight or sight"),
+        ("bearing", {}, "'bearing' for the azimuth, a direction of sight by its name"),
         ("Track", {"azimuth": "Track"}, "columns={'heading': 'Track'}` and give `look`, or rename it"),
         ("compass_deg", {"azimuth": "compass_deg"}, "'compass_deg' for the azimuth, which counts from north"),
     ],

@@ -202,7 +202,7 @@ def _refuse_unread_tags(path: Path, crs: Any) -> None:
 
 def refuse_turned(path: Path, orientation: object) -> None:
     """Raise unless the orientation of a TIFF's or a camera's tag is upright."""
-    if orientation != 1:
+    if orientation not in (0, 1):  # unset, upright
         raise SarsplatError(f"{path} is stored turned (orientation {shown(orientation)}); write it upright")
 
 

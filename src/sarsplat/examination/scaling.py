@@ -38,7 +38,7 @@ _OTHER_DEVIATIONS = 8.0
 """Maximum deviation of an image's ground from the others', dB and robust standard deviations: gains of measured chips
 differ by 3 dB."""
 
-_MAX_SPREAD_DB = 5.0
+_MAX_SPREAD_DB = 8.0
 """Maximum robust standard deviation of the ground in images of one scale, dB."""
 
 _CONTRASTS = (0.72, 1.39)

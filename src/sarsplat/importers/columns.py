@@ -54,7 +54,7 @@ _UNITS: dict[str, tuple[str, float]] = {
     **dict.fromkeys(("ft", "foot", "feet"), (_LENGTH, 0.3048)),
     **dict.fromkeys(("deg", "degree", "degrees"), (_ANGLE, 1.0)),
     **dict.fromkeys(("rad", "radian", "radians"), (_ANGLE, _RADIAN)),
-    **{word: (_ANGLE, size) for word, size in {"mrad": _RADIAN / 1e3, "gon": 0.9, "gradian": 0.9}.items()},
+    **{**dict.fromkeys(("gon", "gradian", "gradians"), (_ANGLE, 0.9)), "mrad": (_ANGLE, _RADIAN / 1e3)},
     **dict.fromkeys(("mil", "mils", "yd", "arcmin", "arcsec"), ("another unit", 1.0)),
 }
 """Words in names of columns → quantity, and m or degrees of one (the German Grad is a degree)."""
@@ -64,8 +64,8 @@ _MEASURED = {
     **{f"{axis}{name}": (_LENGTH, 1.0) for axis in ("", "azimuth-", "range-") for name in ("spacing", "resolution")},
 }
 """Meanings with a unit → quantity, and m or degrees of the unit that numbers have here."""
-_FLIGHT = {"heading", "track", "course", "bearing"}
-"""Words in columns' names for directions of flight or of sight."""
+_FLIGHT = {"heading", "track", "course"}
+"""Words in columns' names for directions of flight."""
 _COMPASS = {"compass", "north"}
 """Words in columns' names for directions counted from north."""
 
@@ -185,9 +185,14 @@ def require_azimuths(table: CsvTable, columns: Columns, compass: bool) -> None:
     words = set(_words(column))
     if words & _FLIGHT:
         raise SarsplatError(
-            f"{table.path} has {shown(column)} for the azimuth, which by its name is a direction of flight or sight; "
+            f"{table.path} has {shown(column)} for the azimuth, which by its name is a direction of flight; "
             f"name it with `columns={{'heading': '{column}'}}` and give `look`, or rename it if it holds directions "
             "from the target to the radar"
+        )
+    if "bearing" in words and not compass:
+        raise SarsplatError(
+            f"{table.path} has {shown(column)} for the azimuth, a direction of sight by its name; if it is from the "
+            "radar to the target, add 180°, and rename it"
         )
     if words & _COMPASS and not compass:
         raise SarsplatError(
@@ -223,7 +228,7 @@ def converted(table: CsvTable, columns: Columns) -> CsvTable:
 
 
 def _words(name: str) -> list[str]:
-    return re.findall(r"[^\W\d_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower())
+    return re.findall(r"[^\W\d_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name.replace("º", " deg ")).lower())
 
 
 def _plain(name: str) -> str:

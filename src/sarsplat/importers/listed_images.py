@@ -114,26 +114,20 @@ def read_pictures(
     pictures: list[Picture] = []
     for listed_row in listed.pictures:
         row = _completed(listed_row, about)
-        values = read_values(
-            row.path,
-            pictures[-1].values.quantity if pictures else quantity,
-            _either(row.scale, scale if row.power_factor is None else 1.0),
-            _either(row.offset, offset),
-            listed.real,
-        )
+        by, plus = _either(row.scale, scale), _either(row.offset, offset)
+        if row.power_factor is not None and (by, plus) != (1.0, 0.0):
+            raise SarsplatError(f"{listed.path} has a column of factors; leave out `scale` and `offset`, or the column")
+        own = row.power_factor is None and row.scale is None and row.offset is None
+        found = pictures[-1].values.quantity if pictures else quantity
+        values = read_values(row.path, found, by, plus, listed.real, own)
         _require_unit(listed, values.quantity)
         mirrored = about.get("mirrored", False) if row.looks_left is None else row.looks_left
         view = view_of_picture(listed, row, angles, mirrored)
-        factor, stated = values.power_factor, backscatter
+        factor, stated = values.power_factor, values.tags.backscatter or backscatter
+        if stated != backscatter != "beta0":
+            raise SarsplatError(f"{row.path} says that it holds {stated}; leave out `backscatter`")
         if row.power_factor is not None:
             factor = row.power_factor
-        elif math.isnan(factor):
-            raise SarsplatError(
-                f"{row.path} states several factors on its power; give the right ones in a column of the table: "
-                "`columns={'calibration-factor': 'NAME'}`"
-            )
-        elif factor != 1 and (stated := values.tags.backscatter or backscatter) != backscatter != "beta0":
-            raise SarsplatError(f"{row.path} says that it holds {stated}; leave out `backscatter`")
         values = replace(values, image=_beta0(values.image, view, stated, factor))
         pictures.append(Picture(row, values, view, about.get("ground_range", False)))
     columns = ", ".join(f"{meaning} = {name}" for meaning, name in listed.columns.items())

@@ -113,11 +113,11 @@ def _picture(path: Path) -> Shaped[np.ndarray, "*shape"]:
         data = file.read()
     try:
         image = Image.open(io.BytesIO(data), formats=("PNG", "JPEG"))
-        refuse_turned(path, image.getexif().get(ExifTags.Base.Orientation, 1))
         if (unpacked := math.prod(image.size) * len(image.getbands()) * 2) > max(
             _FREE_BYTES, _BYTES_PER_BYTE * len(data)
         ):
             raise SarsplatError(f"{path} has {len(data)} bytes but claims to hold {unpacked}; save it again")
+        refuse_turned(path, image.getexif().get(ExifTags.Base.Orientation, 1))
         if (image.mode == "L" and "transparency" not in image.info) or image.mode[0] in "IF":
             return np.asarray(image)
         coloured = np.asarray(image.convert("RGBA"))
@@ -250,11 +250,11 @@ class Values:
 
 
 def read_values(
-    path: Path, quantity: Quantity | None, scale: float, offset: float, real: Quantity | None = None
+    path: Path, quantity: Quantity | None, scale: float, offset: float, real: Quantity | None = None, own: bool = True
 ) -> Values:
     """Read a picture; `quantity` is that of scale · pixel + offset, None to infer it from the type of the numbers.
 
-    `real` is the quantity of real numbers, if known. Scale and offset of the file's tags count where neither is given.
+    `real` is the quantity of real numbers, if known. With scale 1, offset 0 and `own`, those of the file count.
     Raises as `read_picture` and `power_or_signal` do, or if no pixel has data.
     """
     pixels, tags = read_picture(path)
@@ -266,14 +266,25 @@ def read_values(
         pixels = np.where(absent, pixels[~absent][0] if pixels.ndim == 2 else pixels.dtype.type(0), pixels)
     if found == "complex" and (bands := meaning_of(pixels, name)):
         told.append(f"the two bands of complex pictures are {bands}")
-    factor = tags.power_factor if (scale, offset) == (1.0, 0.0) else 1.0
-    if (scale, offset) == (1.0, 0.0) != (tags.scale, tags.offset):
-        scale, offset = tags.scale, tags.offset
+    own = own and (scale, offset) == (1.0, 0.0)
+    factor, scaled = (tags.power_factor, (tags.scale, tags.offset)) if own else (1.0, (1.0, 0.0))
+    if np.isnan(factor):
+        raise SarsplatError(
+            f"{name} states several factors on its power; give the right ones in a column of the table: "
+            "`columns={'calibration-factor': 'NAME'}`"
+        )
+    if factor != 1 and (scaled != (1.0, 0.0) or found == "db"):
+        beside = "decibels" if found == "db" else "a scale of its numbers"
+        raise SarsplatError(
+            f"{name} states a factor on its power beside {beside}; write it again with only one of them"
+        )
+    if scaled != (1.0, 0.0):
+        scale, offset = scaled
         told.append(f"pixels are multiplied by {scale:g}, and {offset:g} is added, as the files say")
     image = power_or_signal(pixels, found, name, scale, offset)
     absent = np.zeros(image.shape, bool) if absent is None else absent
     if factor != 1:
-        told.append(
-            f"power is multiplied by each file's own factor{f', of {tags.backscatter}' if tags.backscatter else ''}"
-        )
+        told.append("power is multiplied by each file's own factor")
+    if tags.backscatter:
+        told.append(f"power is {tags.backscatter}, as the files say")
     return Values(np.where(absent, image.dtype.type(0), image), absent, tags, found, factor, tuple(told))

@@ -70,8 +70,9 @@ def read_raster(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]:
 
 def sidecar_scaling(path: Path) -> Tags:
     """Return scale and offset by the file NAME.aux.xml beside a picture, if there is one."""
-    if not path.with_name(path.name + _SIDECAR).exists():
-        return Tags()
+    sidecar = path.with_name(path.name + _SIDECAR)
+    if not sidecar.exists() or not re.search(rb"<Scale>|<Offset>|_factor", sidecar.read_bytes()):
+        return Tags()  # or only statistics
     with opened_raster(path) as file:
         return Tags(**_scaling(path, file, file.indexes))
 
@@ -125,6 +126,8 @@ def _plain_tiff(path: Path) -> tuple[Shaped[np.ndarray, "rows columns"], Tags] |
                 bits = 32 if halves else 8 * np.dtype(page.dtype).itemsize
                 plain = (page.compression, page.photometric, page.samplesperpixel) == (1, 1, 1)
                 if len(tiff.pages) > 1 or not plain or page.bitspersample != bits or page.size * bits > 8 * size:
+                    return None
+                if halves and page.is_tiled:
                     return None
                 if _MEANINGS & {tag.code for tag in page.tags.values()} or page.sampleformat == UNDEFINED:
                     return None

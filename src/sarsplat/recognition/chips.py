@@ -79,7 +79,8 @@ def _of_dataset(dataset: Dataset, split: str | None, grazing_deg: float | None) 
 
 
 def _without_azimuth(view: View, grazing_deg: float | None) -> View:
-    grazing = float(min(max(round(view.grazing_deg), 1), 89)) if grazing_deg is None else grazing_deg
+    lowest = -89 if view.aloft else 1
+    grazing = float(min(max(round(view.grazing_deg), lowest), 89)) if grazing_deg is None else grazing_deg
     return replace(view, azimuth_deg=0.0, grazing_deg=grazing, tilt_deg=float(round(view.tilt_deg)))
 
 
@@ -92,8 +93,9 @@ def _of_pictures(folder: Path, grazing_deg: float | None, near: Side, like: Run)
         raise SarsplatError(f"the pictures in {folder} have no grazing angle; give it as `grazing_deg`")
     view = seen_alike(like.snapshot.views, 0.0, grazing_deg)
     for path in paths:
-        values = read_values(path, None, 1.0, 0.0).image
-        power = oriented(power_of(values) if np.iscomplexobj(values) else values, near)
+        values = read_values(path, None, 1.0, 0.0)
+        power = power_of(values.image) if np.iscomplexobj(values.image) else values.image
+        power = oriented(power * np.float32(values.power_factor), near)
         yield Chip(path.name, power, replace(like.grid, rows=power.shape[0], columns=power.shape[1]), view)
 
 
@@ -110,6 +112,8 @@ def most_per_target(chips: Sequence[Chip], count: int) -> list[Chip]:
     """Return at most this number of images of each class, evenly chosen in the order of their names."""
     chosen: list[Chip] = []
     for target in sorted({chip.target for chip in chips}):
-        own = sorted((chip for chip in chips if chip.target == target), key=lambda chip: chip.name)
+        own = sorted(
+            (chip for chip in chips if chip.target == target), key=lambda chip: (chip.name, chip.power.tobytes())
+        )
         chosen += [own[k * len(own) // count] for k in range(count)] if len(own) > count else own
     return chosen

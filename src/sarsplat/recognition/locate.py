@@ -74,7 +74,7 @@ def locate(
     split : str, optional
         Set of the datasets in `images`, such as "test-15"; by default all but the training set, if there are others.
     grazing_deg : float, optional
-        Grazing angle of all images, degrees; by default that of each image, to a degree. Pictures need it.
+        Grazing angle of all images to be located, degrees; by default their own, to a degree. Pictures need it.
     step_deg : float
         Step between azimuths, degrees; it divides 360.
     window_m : float, optional
@@ -105,7 +105,8 @@ def locate(
     """
     if not runs:
         raise SarsplatError("there are no runs to compare images with; give at least one")
-    if not (0 < step_deg <= 45) or 360 % step_deg:
+    steps = round(360 / step_deg) if 0 < step_deg <= 45 else 0
+    if abs(steps * step_deg - 360) > 1e-6:
         raise SarsplatError(f"step_deg is {step_deg}; give a divisor of 360 up to 45, such as 3")
     opened = [run if isinstance(run, Run) else Run.load(run) for run in runs]
     opened.sort(key=lambda run: (target_of(run), run.fingerprint, str(run.path)))
@@ -119,7 +120,7 @@ def locate(
         calibration = calibration.read(Path(sources[0]))
     elif sources:
         located = {chip.power.tobytes() for chip in chips}
-        others = chips_of(sources, None, grazing_deg, near, opened[0])
+        others = chips_of(sources, None, None, near, opened[0])
         known = [one for one in others if one.target in calibration.classes and one.power.tobytes() not in located]
         if not known:
             raise SarsplatError("`calibrate` has no image of these classes, besides those to be located; give some")
@@ -127,7 +128,7 @@ def locate(
     every = [*labelled, *chips]
     require_comparable(every)
     _warn_of_far_angles(opened, every)
-    azimuths = np.arange(round(360 / step_deg)) * float(step_deg)
+    azimuths = np.arange(steps) * 360.0 / steps
     with progress("locate", len(every) + len({chip.view for chip in every}) * len(opened), quiet) as shows:
         matches = _matched(opened, every, azimuths, window_m, ground, shows)
     if labelled:
@@ -161,7 +162,10 @@ def _matched(
         matcher, samples = Matcher(rendered, window), replace(pixels, rows=rows, columns=columns).independent_samples
         for index, chip in enumerate(chips):
             if chip.view == view:
-                matches[index] = matcher(window.cut(chip.power, chip.grid, window.margins)), samples
+                cut = window.cut(chip.power, chip.grid, window.margins)
+                if not cut[down:-down, across:-across].any():
+                    raise SarsplatError(f"{chip.name} is black around its origin; leave it out")
+                matches[index] = matcher(cut), samples
                 shows.advance(1, "matching")
     return [matches[index] for index in range(len(chips))]
 

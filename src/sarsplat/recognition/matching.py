@@ -78,24 +78,34 @@ class Matcher:
         level = power[down:-down, across:-across].mean(dtype=np.float64)
         image = np.maximum(power / level, from_db(-DYNAMIC_RANGE_DB)).astype(np.float32)
         fits, shifts = self._correlations(image)
-        image, every = image[down:-down, across:-across], np.arange(self._runs)
-        nats, azimuth, shift = self._best(image, fits, shifts, *_CANDIDATES)
-        turns = np.abs((np.arange(self._azimuths) - azimuth[:, None]) * 360 / self._azimuths % 360 - 180)
+        image = image[down:-down, across:-across]
+        best = self._best(image, fits, shifts, *_CANDIDATES)
+        turns = np.abs((np.arange(self._azimuths) - best[1][:, None]) * 360 / self._azimuths % 360 - 180)
         opposite = np.where(turns <= _SECTOR_DEG, fits, -np.inf)
         others = self._best(
             image, opposite, shifts, min(_REVERSED[0], int((turns[0] <= _SECTOR_DEG).sum())), _REVERSED[1]
         )
-        better = others[0] < nats
-        reversed_nats = np.where(better, nats, others[0])
-        nats, azimuth = np.where(better, others[0], nats), np.where(better, others[1], azimuth)
-        shift = np.where(better[:, None], others[2], shift)
+        found, other = self._between_azimuths(image, *best), self._between_azimuths(image, *others)
+        better = other[0] < found[0]  # then what correlates best is the reversed one
+        nats, azimuth_deg, curvature, gain = (np.where(better, b, a) for a, b in zip(found, other, strict=True))
+        reversed_nats, shift = np.where(better, found[0], other[0]), np.where(better[:, None], others[2], best[2])
+        return Match(nats, reversed_nats, azimuth_deg, curvature, shift, gain * level)
+
+    def _between_azimuths(
+        self,
+        image: Float32[np.ndarray, "r c"],
+        nats: Float64[np.ndarray, " q"],
+        azimuth: Int64[np.ndarray, " q"],
+        shift: Int64[np.ndarray, "q 2"],
+    ) -> tuple[Float64[np.ndarray, " q"], ...]:
+        """Return nats, azimuth (degrees), curvature (per square degree) and gain at the vertex of a parabola."""
+        every = np.arange(self._runs)
         before, after = (self._nats(image, every, (azimuth + k) % self._azimuths, shift)[0] for k in (-1, 1))
         step_deg, bend = 360 / self._azimuths, np.maximum(before + after - 2 * nats, _LEAST_CURVATURE)
         offset = np.clip((before - after) / (2 * bend), -0.5, 0.5)
-        gain = self._nats(image, every, azimuth, shift)[1] * level
+        gain = self._nats(image, every, azimuth, shift)[1]
         nats = nats + offset * ((after - before) / 2 + offset * bend / 2)
-        azimuth_deg = (azimuth + offset) * step_deg % 360
-        return Match(nats, reversed_nats, azimuth_deg, bend / step_deg**2, shift, gain)
+        return nats, (azimuth + offset) * step_deg % 360, bend / step_deg**2, gain
 
     def _correlations(
         self, image: Float32[np.ndarray, "m n"]
