@@ -15,6 +15,9 @@ from summary import Line
 _COLOURS = ("#4878a8", "#6a9f58", "#b8860b", "#7a5195")
 _PAPER = "#c0392b"
 
+_LOGARITHMIC = 20.0
+"""Ratio of the largest to the smallest value beyond which their axis is logarithmic."""
+
 
 def draw(experiment: Experiment, finished: list[Line], path: Path) -> None:
     """Draw what is finished.
@@ -75,4 +78,7 @@ def _row_by_row(ax: Axes, experiment: Experiment, finished: list[Line], key: str
             ax.plot(line.row.paper[key], y, "s", ms=5, color=_PAPER, mfc="none", label=label)
     ax.set_yticks(range(len(finished)), [name.replace("`", "") for name in names], fontsize=8)
     ax.set_ylim(len(finished) - 0.5, -0.5)
+    means = [line.spreads[key].mean for line in finished if key in line.spreads]
+    if means and min(means) > 0 and max(means) > _LOGARITHMIC * min(means):
+        ax.set_xscale("log")
     ax.set_xlabel(fill(METRIC[key].title, 30))  # beside long names panels are narrow

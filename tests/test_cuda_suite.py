@@ -5,6 +5,7 @@ import json
 import os
 import sys
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from functools import cache
@@ -201,3 +202,31 @@ def test_what_runs_on_a_gpu_box_begins_with_torch_numpy_and_the_renderer_only():
         found |= {node.module for node in tree.body if isinstance(node, ast.ImportFrom) and node.module}
         assert {each.split(".")[1] for each in found if each.startswith("sarsplat.")} <= ours, name
         assert {each.split(".")[0] for each in found} - {"sarsplat"} <= allowed, name
+
+
+def test_sections_run_alone_leave_the_others_as_they_were(stub):
+    def counted(number):
+        def section(gpu):
+            yield "number", number
+
+        return section, 1
+
+    stub.run(one=counted(1), two=counted(2))
+    sections = kept(stub.run(only=("two",), one=counted(3), two=counted(4)))["sections"]
+    assert {name: section["found"]["number"] for name, section in sections.items()} == {"one": 1, "two": 4}
+    assert kept(stub.run(two=counted(5)))["sections"].keys() == {"two"}
+
+
+def test_waits_are_counted_by_line(suite, tmp_path, monkeypatch):
+    modes = []
+    monkeypatch.setattr(torch.cuda, "set_sync_debug_mode", modes.append)
+
+    def program() -> None:
+        for _ in range(3):
+            warnings.warn("called a synchronizing CUDA operation", stacklevel=1)
+        warnings.warn("something else", stacklevel=1)
+
+    ((line, count),) = suite.Gpu(tmp_path, quick=True).waits(program).items()
+    assert line.startswith("test_cuda_suite.py:")
+    assert count == 3
+    assert modes == ["warn", "default"]

@@ -174,3 +174,26 @@ def test_harmonics_far_below_the_least_scattering(activation, instruction_set):
     gaussians = cloud(6, 4, degree=0, kappa=(0.5, 2.0))
     faint = gaussians.with_tensors(scattering=torch.full((6, 1), activation / 0.28209479))
     assert worst(faint, "scattering", instruction_set) < 1e-4
+
+
+@pytest.mark.parametrize("argument", ["means", "quaternions", "scales", "optical_depth", "scattering", "shift", "gain"])
+def test_finite_differences_of_the_engine_itself(argument):
+    """Independent of the reference; loose, because a gradient holds the cuts constant and a difference moves them."""
+    scene = MATRIX["shift and gain"]()
+    leaves = scene.leaves(torch.float32)
+    tensor = leaves[argument]
+    target = 0.5 * scene.call(render, leaves, engine="cpu").images.detach().flip(2)
+
+    def loss(value: torch.Tensor) -> torch.Tensor:
+        images = scene.call(render, leaves | {argument: value}, engine="cpu").images
+        return ((images - target).double() ** 2).sum()
+
+    (gradient,) = torch.autograd.grad(loss(tensor), [tensor])
+    size = {"means": 0.1, "scales": 0.1, "shift": 0.2}.get(argument, 1.0)  # what counts as a large change
+    generator = torch.Generator().manual_seed(1)
+    for _ in range(4):
+        random = torch.randn(tensor.shape, generator=generator) / tensor.numel() ** 0.5
+        step = 0.02 * size * (random + gradient / gradient.norm())  # so that the slope is never near zero
+        with torch.no_grad():
+            difference = float(loss(tensor + step) - loss(tensor - step)) / 2
+        assert difference == pytest.approx(float((gradient.double() * step).sum()), rel=0.02)

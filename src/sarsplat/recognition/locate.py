@@ -32,8 +32,8 @@ _LABELLED = 24
 _FAR_DEG = 14.0
 """Distance from the grazing angles of a training beyond which a warning is given."""
 
-_BYTES = 12
-"""Memory of a template, bytes per pixel."""
+_BYTES = 27
+"""Maximum memory of a template while it is prepared, bytes per pixel."""
 
 _UNKNOWN_DEG = 104.0
 """Standard deviation of an azimuth of which nothing is known, degrees."""
@@ -111,7 +111,8 @@ def locate(
     opened = [run if isinstance(run, Run) else Run.load(run) for run in runs]
     opened.sort(key=lambda run: (target_of(run), run.fingerprint, str(run.path)))
     settings: dict[str, Any] = {"ground": ground, "step_deg": float(step_deg), "window_m": window_m}
-    named = {f"{k} {run.path.name if run.path else 'in memory'}": target_of(run) for k, run in enumerate(opened)}
+    names = [f"{run.path.name if run.path else target_of(run)} {run.snapshot.digest()}" for run in opened]
+    named = dict(zip(names, map(target_of, opened), strict=True))
     calibration = Calibration(runs=named, settings=settings)
     sources = _listed(calibrate)
     chips = chips_of(_listed(images), split, grazing_deg, near, opened[0])

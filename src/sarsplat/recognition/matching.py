@@ -31,7 +31,7 @@ _FINE = np.array([(down, right) for down in (0, -1, 1) for right in (0, -1, 1)])
 """Displacements of the fine search, pixels."""
 
 _LEAST_CURVATURE = 1e-12
-"""Minimum second derivative, nats per pixel and square degree."""
+"""Minimum second difference, nats per pixel and square step."""
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True):
     """Numbers by which likelihoods become odds of classes, and curvatures standard deviations of azimuths."""
 
     runs: dict[str, str]
-    """Class of each run by its name."""
+    """Class of each run by its name and the digest of its training."""
     settings: dict[str, Any]
     """Options of `locate` that it belongs to."""
     temperature: float = TEMPERATURE
@@ -98,5 +98,5 @@ class Calibration(msgspec.Struct, frozen=True, kw_only=True):
         )
         for theirs, own in ((made.runs, self.runs), (made.settings, self.settings)):
             if theirs != own:
-                raise SarsplatError(f"{path} was made with {theirs}, not {own}; calibrate again with labelled images")
+                raise SarsplatError(f"{path} was made with {theirs}, not {own}; give `calibrate` labelled images")
         return made
