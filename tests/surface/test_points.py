@@ -141,7 +141,7 @@ def test_large_scenes_are_traced_by_fewer_rays_and_still_are_on_the_surface(ball
     rays = sum(counted)
     counted.clear()
     monkeypatch.setattr(of_points, "_MOST_RAYS", rays / 16)
-    monkeypatch.setattr(of_points, "_MOST_VIEWS", 12)
+    monkeypatch.setattr(spread, "__defaults__", (12,))
     many = [View(10.0 * k, 30.0) for k in range(36)]
     said: list[str] = []
     shown = of_points.stage

@@ -15,7 +15,7 @@ from sarsplat.renderer import GroundBounce, attenuate, project, render
 from sarsplat.renderer.constants import IMAGE_CUT
 from sarsplat.renderer.stretched import imaged
 
-_PARALLEL = 1e-12
+_PARALLEL = 1e-12  # cosine below which the line is parallel to a side of the box
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ def contributions(
     if len(gaussians) == 0:
         return np.zeros(0, np.float32)
     gaussians = gaussians.detach()
-    if bounce is None and view.stretch != 1:
+    if bounce is None and view.stretch != 1:  # which `project` does not support
         rendering = render(gaussians, [view], grid, rays=rays)
         sections = rendering.cross_sections[0, :, gaussians.scattering.power_channel]
         footprints = imaged(gaussians, [view], grid, None)
@@ -143,7 +143,7 @@ def contributions(
         sections = parts[0] * bounce.reflectivity.detach()
     a, b, c = footprints.roots[0].unbind(-1)
     x, y = (footprints.centers.new_tensor(place) - footprints.centers[0]).unbind(-1)
-    squared = (a * x + b * y) ** 2 + (c * y) ** 2
+    squared = (a * x + b * y) ** 2 + (c * y) ** 2  # |L d|² (`Footprints`)
     mass = 2 * math.pi * (1 - math.exp(-IMAGE_CUT / 2))  # integral of a footprint, cut as in the renderer
     weight = torch.where(squared <= IMAGE_CUT, torch.exp(-squared / 2), 0) * a * c / mass
     return (sections * weight).cpu().numpy()

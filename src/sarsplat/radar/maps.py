@@ -5,16 +5,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Float64
-from scipy.ndimage import map_coordinates
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.radar.surface import Surface, above_ground
-from sarsplat.renderer import RayMap, attenuate, project, splat
+from sarsplat.renderer import attenuate, project, splat
+from sarsplat.surface.from_above import HIDDEN, transmittance_at
 
 _SHARE = 0.5  # minimum share of a target's pixel that it covers, or of the area that flat ground would have in it
-_HIDDEN = 0.5  # two-way loss above which ground is in shadow
 _SAMPLES = 3  # sampled places of a pixel's ground, per axis
 _GRAZED = 0.02  # cosine below which a surface counts as parallel to a direction
 _SAME_PLACE = 0.05  # minimum distance of scatterers that determine a slope, pixel spacings
@@ -84,9 +83,12 @@ def radar_maps(surface: Surface, view: View, grid: ImageGrid, *, rays: RayGrid |
     weighted = lit[:, None] * torch.from_numpy(_columns(surface, view)).to(lit)
     sums = splat(projection.pixels, weighted[None], sharp)[0].double().numpy()
     area = sums[_AREA]
-    shown = (area >= _SHARE * view.yardstick * view.open_beta0) | (sums[_COVER] >= _SHARE)
+    open_area = (
+        view.yardstick * view.open_beta0
+    )  # of flat ground, as `area`: m² across the line of sight per m² of image
+    shown = (area >= _SHARE * open_area) | (sums[_COVER] >= _SHARE)
     means = np.divide(sums, area, out=np.full_like(sums, np.nan), where=shown)
-    spread = 2 * np.sqrt(_unexplained(means, grid))
+    spread = 2 * np.sqrt(_unexplained(means, grid))  # two equally large scatterers are two standard deviations apart
     with np.errstate(invalid="ignore"):
         layover = spread > grid.cell_m
     standing = gaussians[:0] if view.aloft else above_ground(gaussians)
@@ -106,7 +108,10 @@ _PAIRS = np.triu_indices(3)
 
 
 def _columns(surface: Surface, view: View) -> Float64[np.ndarray, "n 13"]:
-    """Terms of a pixel's sums per Gaussian and visible area: area, height, incidence, cover, and moments of places."""
+    """Terms of a pixel's sums per Gaussian and visible area: area, height, incidence, cover, and moments of places.
+
+    Cover is area in the image: visible area across the line of sight, seen along the elevation axis instead.
+    """
     means, frame = surface.gaussians.means.double().numpy(), view.look.frame
     azimuth, elevation, slant_range = frame @ means.T
     place = np.stack([azimuth, slant_range, elevation - elevation.mean()], axis=1)  # centred for float32 sums
@@ -133,22 +138,12 @@ def _hidden_ground(
     """Mask of the pixels whose ground is hidden by Gaussians above it."""
     if len(gaussians) == 0:
         return np.zeros((grid.rows, grid.columns), bool)
-    projection = project(gaussians, [view], grid, rays=rays)
-    (ray_map,) = attenuate(projection, rays, first_return_depth=1.0).ray_maps or ()
-    inside = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
+    offsets = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5  # of samples from the pixel's centre, pixels
     azimuth, slant_range = np.meshgrid(
-        (grid.azimuth_m[:, None] + inside * grid.spacing_m[0]).ravel(),
-        (grid.range_m[:, None] + inside * grid.spacing_m[1]).ravel(),
+        (grid.azimuth_m[:, None] + offsets * grid.spacing_m[0]).ravel(),
+        (grid.range_m[:, None] + offsets * grid.spacing_m[1]).ravel(),
     )
-    through = _transmittance(ray_map, rays, azimuth, view.look.elevation_on_ground(azimuth, slant_range))
-    means = through.reshape(grid.rows, _SAMPLES, grid.columns, _SAMPLES).mean(axis=(1, 3))
-    return means < 1 - _HIDDEN
-
-
-def _transmittance(
-    ray_map: RayMap, rays: RayGrid, azimuth: Float64[np.ndarray, "r c"], elevation: Float64[np.ndarray, "r c"]
-) -> Float64[np.ndarray, "r c"]:
-    """Two-way transmittance at places on the computation plane; 1 beyond the rays."""
-    row = (elevation - ray_map.origin[1]) / rays.spacing_m[1]
-    column = (azimuth - ray_map.origin[0]) / rays.spacing_m[0]
-    return map_coordinates(ray_map.transmittance.double().numpy(), [row, column], order=1, mode="constant", cval=1.0)
+    elevation = view.look.elevation_on_ground(azimuth, slant_range)
+    transmittance = transmittance_at(gaussians, view, grid, rays, azimuth, elevation)
+    means = transmittance.reshape(grid.rows, _SAMPLES, grid.columns, _SAMPLES).mean(axis=(1, 3))
+    return means < 1 - HIDDEN

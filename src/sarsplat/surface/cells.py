@@ -158,26 +158,17 @@ def parts_of(
 
     Each point belongs to one part. A cloud of at most `most` points is one part.
     """
-    yield from _halved(points, np.arange(len(points)), np.ones(len(points), bool), reach_m, most)
-
-
-def _halved(
-    points: Real[np.ndarray, "p 3"],
-    index: Int64[np.ndarray, " k"],
-    own: Bool[np.ndarray, " k"],
-    reach_m: float,
-    most: int,
-) -> Iterator[tuple[Int64[np.ndarray, " k"], Bool[np.ndarray, " k"]]]:
-    own_points = points[index[own]]
-    sides = np.ptp(own_points, axis=0) if len(own_points) else np.zeros(3)
-    axis = int(sides.argmax())
-    if len(own_points) <= most or sides[axis] <= 2 * reach_m:
-        yield index, own
-        return
-    middle, place, lowest = np.median(own_points[:, axis]), points[index, axis], own_points[:, axis].min()
-    if middle == lowest:  # most points coincide there: cut behind them
-        middle = own_points[own_points[:, axis] > lowest, axis].min()
-    middle = float(middle)
-    del own_points
-    for side, near in ((place < middle, place < middle + reach_m), (place >= middle, place >= middle - reach_m)):
-        yield from _halved(points, index[near], (own & side)[near], reach_m, most)
+    parts = [(np.arange(len(points)), np.ones(len(points), bool))]
+    while parts:
+        index, own = parts.pop()
+        own_points = points[index[own]]
+        sides = np.ptp(own_points, axis=0) if len(own_points) else np.zeros(3)
+        axis = int(sides.argmax())
+        if len(own_points) <= most or sides[axis] <= 2 * reach_m:
+            yield index, own
+            continue
+        middle, place, lowest = float(np.median(own_points[:, axis])), points[index, axis], own_points[:, axis].min()
+        if middle == lowest:  # most points coincide there: cut behind them
+            middle = float(own_points[own_points[:, axis] > lowest, axis].min())
+        for side, near in ((place >= middle, place >= middle - reach_m), (place < middle, place < middle + reach_m)):
+            parts.append((index[near], (own & side)[near]))  # the lower half comes next

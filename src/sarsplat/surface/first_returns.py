@@ -96,12 +96,13 @@ class FirstReturns:
     def _points_of(
         self, views: Sequence[int], ranges: Sequence[Tensor], terrain: Terrain | None, lowest_m: float
     ) -> Sequence[Float64[Tensor, "p 3"]]:
+        """Returns of a block of views, as `points` yields them; waits for a GPU once."""
         placed = [self._placed(view, ranges[view]) for view in views]
         points, finite = torch.cat(placed), torch.cat([ranges[view] for view in views]).isfinite()
         keep = finite & (_heights(points, terrain) >= lowest_m)
         ends = torch.from_numpy(np.cumsum([len(returns) for returns in placed])).to(keep.device)
-        upto = torch.cat([keep.new_zeros(1, dtype=torch.int64), keep.cumsum(0)])[ends].tolist()
-        return points[keep].split(np.diff([0, *upto]).tolist())
+        kept_until = torch.cat([keep.new_zeros(1, dtype=torch.int64), keep.cumsum(0)])[ends].tolist()
+        return points[keep].split(np.diff([0, *kept_until]).tolist())
 
     def _placed(self, view: int, ranges: Float[Tensor, " r"]) -> Float64[Tensor, "r 3"]:
         """Points of first return of a view's rays, world frame, m; arbitrary for rays that meet nothing."""
@@ -127,7 +128,7 @@ class FirstReturns:
         A view sees a point if its first return is within `behind_m` of it, and looks through it if it is farther. At
         least `seen_by` views must see it; at most the share `seen_through` of the views may look through.
         """
-        counts = torch.zeros(2, len(points), dtype=torch.int64, device=points.device)
+        through, seen = torch.zeros(2, len(points), dtype=torch.int64, device=points.device)
         sizes, new = self._sizes, partial(torch.tensor, device=points.device)
         shapes = new([window.shape for window in self.windows])
         firsts = new(np.cumsum([0, *sizes[:-1]]))
@@ -141,11 +142,11 @@ class FirstReturns:
             (column, row), (rows, columns) = place.unbind(-1), shapes[batch].unbind(1)
             inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
             ray = (firsts[batch] + row * columns + column).where(inside, 0).long()
-            beyond = self.range_m[ray].double().where(inside, math.inf) - local[..., 2]
-            counts[0] += (beyond > behind_m).sum(1)
-            counts[1] += (beyond.abs() <= behind_m).sum(1)
+            beyond = self.range_m[ray].double().where(inside, math.inf) - local[..., 2]  # m from point to first return
+            through += (beyond > behind_m).sum(1)
+            seen += (beyond.abs() <= behind_m).sum(1)
             advance(len(sizes[batch]))
-        return ((counts[0] <= seen_through * len(sizes)) & (counts[1] >= seen_by)).nonzero()[:, 0]
+        return ((through <= seen_through * len(sizes)) & (seen >= seen_by)).nonzero()[:, 0]
 
 
 def _heights(points: Float64[Tensor, "p 3"], terrain: Terrain | None) -> Float64[Tensor, " p"]:
@@ -219,7 +220,7 @@ class FirstReturnsOnCpu:
 
 
 def _mixed(count: int) -> Int64[np.ndarray, " n"]:
-    """Indices 0 … count − 1 in an order in which consecutive ones are far apart."""
+    """Indices 0 … count − 1 in an order in which consecutive ones are far apart: by multiples of the golden ratio."""
     return np.argsort(np.arange(count) * (5**0.5 - 1) / 2 % 1, kind="stable")
 
 
@@ -239,14 +240,17 @@ class OfView:
     def of(
         cls, scene: Scene, brick: Brick | None, view: View, grid: ImageGrid, rays: RayGrid, optical_depth: float
     ) -> "OfView":
+        """Trace the rays of one view."""
         window = None if brick is None else brick.window(view, rays)
         gaussians = scene.gaussians if window is None else scene.met_by(window, view, rays)[1]
-        (ray_map,) = traced(gaussians, [view], replace(grid, rows=1, columns=1), rays, optical_depth)
+        pixel = replace(grid, rows=1, columns=1)  # images are not needed
+        (ray_map,) = traced(gaussians, [view], pixel, rays, optical_depth)
         window = window or Window.of(ray_map, rays)
         ranges = np.pad(window.cut(ray_map, rays).numpy(), 1, constant_values=np.inf)
         return cls(view.look.frame, ranges, (window.column - 1, window.row - 1), rays.spacing_m)
 
     def points(self) -> Float64[np.ndarray, "p 3"]:
+        """Returns, world frame, m."""
         row, column = np.nonzero(np.isfinite(self.range_m))
         # from lattice indices, and without a matrix product, so that rounding does not depend on the brick
         x = (column + (self.first[0] + 0.5)) * self.spacing_m[0]

@@ -14,10 +14,8 @@ from sarsplat.progress import stage
 from sarsplat.renderer import attenuate, project
 from sarsplat.surface.points import imaged, spread
 
-_MOST_VIEWS = 96
-
 _STEEP = 0.3  # upward part of a normal below which a point belongs to a wall, which has no area from above
-_HIDDEN = 0.5  # two-way loss above which ground is hidden from a view
+HIDDEN = 0.5  # two-way loss above which ground is hidden from a view
 
 
 def uppermost(
@@ -73,18 +71,22 @@ def ground_seen(
 
     At most 96 views are used, evenly chosen.
     """
-    seen, rays = np.zeros(len(places), bool), RayGrid.for_image(grid)
-    chosen = spread(views, _MOST_VIEWS)
+    visible, rays = np.zeros(len(places), bool), RayGrid.for_image(grid)
+    chosen = spread(views)
     with stage("surface: ground", len(chosen)) as shown:
         for view in chosen:
-            index = np.flatnonzero(~seen & imaged(places, view, grid))
-            across, elevation, _ = view.look.frame @ places[index].T
-            (ray_map,) = (
-                attenuate(project(target, [view], grid, rays=rays), rays, first_return_depth=1.0).ray_maps or ()
-            )
-            row = (elevation - ray_map.origin[1]) / rays.spacing_m[1]
-            column = (across - ray_map.origin[0]) / rays.spacing_m[0]
-            through = ray_map.transmittance.double().cpu().numpy()
-            seen[index] = map_coordinates(through, [row, column], order=1, cval=1.0) > 1 - _HIDDEN
+            index = np.flatnonzero(~visible & imaged(places, view, grid))
+            azimuth, elevation, _ = view.look.frame @ places[index].T
+            visible[index] = transmittance_at(target, view, grid, rays, azimuth, elevation) > 1 - HIDDEN
             shown.advance(1)
-    return seen
+    return visible
+
+
+def transmittance_at(
+    gaussians: Gaussians, view: View, grid: ImageGrid, rays: RayGrid, *place: Float64[np.ndarray, "*n"]
+) -> Float64[np.ndarray, "*n"]:
+    """Two-way transmittance of Gaussians on rays at azimuths and elevations (`place`), m; 1 beyond the rays."""
+    projection = project(gaussians, [view], grid, rays=rays)
+    (ray_map,) = attenuate(projection, rays, first_return_depth=1.0).ray_maps or ()  # any depth asks for ray maps
+    column, row = ((at - first) / step for at, first, step in zip(place, ray_map.origin, rays.spacing_m, strict=True))
+    return map_coordinates(ray_map.transmittance.double().cpu().numpy(), [row, column], order=1, cval=1.0)

@@ -13,7 +13,7 @@ from sarsplat.geometry import CLUTTER, SHADOW, TARGET, ImageGrid, RayGrid, Terra
 from sarsplat.geometry.terrain import heights_of
 from sarsplat.renderer import render
 
-_SHARE = 0.5
+_SHARE = 0.5  # minimum share of target, and maximum of ground, in a pixel's power without target
 _LOWEST = 1.0  # minimum height above the ground of Gaussians of the target, resolution cells
 _REACH = 1.5  # maximum distance of such Gaussians from the points, resolution cells
 

@@ -46,7 +46,7 @@ _PLANE_ROUNDS = 2
 _UNLIKE = 0.5  # distance of unit normals from the mean at which a surfel's weight is 1/e
 _AT_ONCE = 50_000  # places in a batch
 _SUMMED = 4096  # places in a batch on the CPU, for its caches
-_ASKED = 10_000  # maximum number of points whose nearest neighbour gives the spacing
+_MEASURED = 10_000  # maximum number of points whose nearest neighbour gives the spacing
 
 
 def surface_mesh(points: Real[np.ndarray, "p 3"], normals: Real[np.ndarray, "p 3"], seen: Seen, cell: float) -> Trimesh:
@@ -261,7 +261,7 @@ class Planes:
         device: torch.device,
     ) -> "Planes":
         """Planes through oriented points, calculated on a device."""
-        cloud, sample = torch.from_numpy(points).to(device), slice(None, None, math.ceil(len(points) / _ASKED))
+        cloud, sample = torch.from_numpy(points).to(device), slice(None, None, math.ceil(len(points) / _MEASURED))
         near = neighbours_of(cloud)
         spacing = near.nearest(cloud[sample], 2)[0][:, 1].sqrt() if len(points) > 1 else cloud.new_zeros(1)
         unit_m = max(cell_m, _SPACINGS * float(spacing.quantile(0.5)))
@@ -286,14 +286,15 @@ class Planes:
         return both[:, 0], both[:, 1:]
 
     def _at(self, places: Float64[Tensor, "q 3"], side: Float64[Tensor, "q 3"] | None) -> Float64[Tensor, "q 4"]:
-        square, index = self._near_surfels.nearest(places, min(_NEIGHBOURS, len(self._surfels.places)))
+        """Distance, m, and normal as rows, for a batch of `at`."""
+        squared, index = self._near_surfels.nearest(places, min(_NEIGHBOURS, len(self._surfels.places)))
         normals, counts = self._surfels.normals[index], self._surfels.counts[index]
         offsets = dot(places[:, None] - self._surfels.places[index], normals)
-        near = counts * torch.exp(-0.5 * (square - square[:, :1]) / (_SMOOTHING * self.unit_m) ** 2)
+        near = counts * torch.exp(-0.5 * (squared - squared[:, :1]) / (_SMOOTHING * self.unit_m) ** 2)
         weight = near
         mean = normalize((near[:, None] @ normals)[:, 0], dim=1) if side is None else side
         for _ in range(_PLANE_ROUNDS):
-            difference = 2 - 2 * dot(normals, mean[:, None])  # squared
+            difference = 2 - 2 * dot(normals, mean[:, None])  # squared length
             # relative to the smallest, so that weights never vanish
             weight = near * torch.exp((difference.amin(1, keepdim=True) - difference) / _UNLIKE**2)
             mean = normalize((weight[:, None] @ normals)[:, 0], dim=1)

@@ -20,10 +20,10 @@ from sarsplat.progress import stage
 from sarsplat.surface.cells import Surfels, by_cubes
 from sarsplat.surface.neighbours import neighbours_of, spacing_m
 
-_CUBE, _ASKED = (0.15, 0.4), (0.15, 0.6)
+_SURFEL, _SEARCH = (0.15, 0.4), (0.15, 0.6)
 """Limits of the sides of cubes that make a surfel, and that share one search of neighbours, resolution cells."""
-_CUBE_SPACINGS, _ASKED_SPACINGS = 2, 3  # sides of these cubes within the limits, spacings of the points
-_VOTERS, _BESIDE = 32, 32  # Gaussians and surfels that count for a surfel
+_SURFEL_SPACINGS, _SEARCH_SPACINGS = 2, 3  # sides of these cubes within the limits, spacings of the points
+_VOTERS, _NEIGHBOURS = 32, 32  # Gaussians and surfels that count for a surfel
 _BLUR, _NEAR = 0.2, 0.5  # standard deviations of the weights of Gaussians and surfels, resolution cells
 _ROUNDS = 2
 _DISSENT = 0.3  # sine of the angle to the majority at which a vote's weight is 1/e
@@ -57,17 +57,17 @@ def surface_normals(
     above = torch.eye(3, dtype=radar.dtype, device=radar.device)[2]
     radar = normalize(radar.where((radar != 0).any(1, keepdim=True), above), dim=1)
     apart_m = spacing_m(points) if apart_m is None else apart_m
-    cube_m, asked_m = (
+    surfel_m, search_m = (
         float(np.clip(spacings * apart_m, least * cell_m, most * cell_m))
-        for spacings, (least, most) in ((_CUBE_SPACINGS, _CUBE), (_ASKED_SPACINGS, _ASKED))
+        for spacings, (least, most) in ((_SURFEL_SPACINGS, _SURFEL), (_SEARCH_SPACINGS, _SEARCH))
     )
-    surfels = Surfels.of(cloud, radar, cube_m)
-    voters, beside = _Voters(gaussians, _BLUR * cell_m), _Beside(surfels, _NEAR * cell_m)
+    surfels = Surfels.of(cloud, radar, surfel_m)
+    voters, cloud_around = _Voters(gaussians, _BLUR * cell_m), _Neighbourhood(surfels, _NEAR * cell_m)
     normals = torch.empty_like(surfels.places)
     with stage("surface: normals of the points", len(normals)) as shown:
-        for rows, middles, cube in by_cubes(surfels.places, asked_m):
+        for rows, middles, cube in by_cubes(surfels.places, search_m):
             places, directions = surfels.places[rows], surfels.normals[rows]
-            spread = beside.spread(places, middles, cube)
+            spread = cloud_around.spread(places, middles, cube)
             normals[rows] = voters.normals(places, directions, spread, middles, cube)
             shown.advance(len(rows))
     normals = normals[surfels.owner]
@@ -75,7 +75,7 @@ def surface_normals(
     return normals.cpu().numpy()
 
 
-class _Beside:
+class _Neighbourhood:
     """Surfels, and their spread around places."""
 
     def __init__(self, surfels: Surfels, near_m: float) -> None:
@@ -86,7 +86,7 @@ class _Beside:
         self, places: Float64[Tensor, "q 3"], middles: Float64[Tensor, "c 3"], cube: Int64[Tensor, " q"]
     ) -> Float64[Tensor, "q 6"]:
         """Covariances of the surfels near each place's cube, divided by their trace; zero where they coincide."""
-        index = self._near.nearest(middles, min(_BESIDE, len(self._places)))[1][cube]
+        index = self._near.nearest(middles, min(_NEIGHBOURS, len(self._places)))[1][cube]
         x, y, z = _offsets(self._places, index, places, self._near_m)
         weight = self._counts[index] * torch.exp(-0.5 * (x * x + y * y + z * z))
         weight = weight / weight.sum(1, keepdim=True).clamp(min=_TINY)

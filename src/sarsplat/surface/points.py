@@ -31,7 +31,6 @@ from sarsplat.surface.clusters import bright, brightest_speckle_m2, largest
 from sarsplat.surface.first_returns import FirstReturns, FirstReturnsOnCpu, view_batches
 from sarsplat.tiles.plan import memory_bytes
 
-_MOST_VIEWS = 96
 _MOST_RAYS = 2e7  # maximum number of rays of a brick, in all views together
 _COARSEST = 2 / 3  # maximum spacing of rays in large scenes, resolution cells
 _SAMPLES = 3.0  # minimum mean number of returns per voxel, if about a third of the views see a surface
@@ -104,7 +103,7 @@ def extract_points(
         return points[main]
     if ground_gamma0 is None:
         return points
-    chosen = spread(views, _MOST_VIEWS)
+    chosen = spread(views)
     with stage("points: power of clusters", len(chosen)) as shown:
         sections = (found.cpu().numpy() for _, found in _cross_sections(gaussians, chosen, grid, shown.advance))
         threshold_m2 = brightest_speckle_m2(ground_gamma0, chosen, grid)
@@ -119,7 +118,7 @@ def _strongest(gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, sha
     Each counts with its strongest view that images it, clipped at the `usual_peak` of all.
     """
     strongest, means = gaussians.means.new_zeros(len(gaussians)), gaussians.means.double().cpu().numpy()
-    for batch, sections in _cross_sections(gaussians, spread(views, _MOST_VIEWS), grid):
+    for batch, sections in _cross_sections(gaussians, spread(views), grid):
         inside = torch.from_numpy(np.stack([imaged(means, view, grid) for view in batch])).to(sections.device)
         strongest = torch.maximum(strongest, (sections * inside).amax(0))
     strongest = strongest.clamp(max=usual_peak(strongest.cpu().numpy()))
@@ -154,7 +153,7 @@ def _seen_points(
     terrain: Terrain | None,
 ) -> Float64[np.ndarray, "p 3"]:
     """Means of first returns in voxels, without those that too many views look through or too few see."""
-    cell, rays, chosen = grid.cell_m, RayGrid.for_image(grid, how.rays_per_pixel), spread(views, _MOST_VIEWS)
+    cell, rays, chosen = grid.cell_m, RayGrid.for_image(grid, how.rays_per_pixel), spread(views)
     described = "the views" if len(chosen) == len(views) else f"{len(chosen)} of {len(views)} views"
     views, count = chosen, ray_count(gaussians, chosen, rays)
     coarser = math.sqrt(max(1.0, min(count / _MOST_RAYS, (_COARSEST * cell / max(rays.spacing_m)) ** 2)))
@@ -183,15 +182,15 @@ def _seen_points(
 
 def _bytes(gaussians: Gaussians, rays: float, views: int) -> float:
     """Upper bound of the memory for points, normals and mesh, bytes."""
-    at_once, points = min(rays, _MOST_RAYS), rays / _SAMPLES
-    met = len(gaussians) * min(1.0, 2 * at_once / rays) if rays else 0.0
+    at_once, points = min(rays, _MOST_RAYS), rays / _SAMPLES  # rays of a brick, and all points
+    met = len(gaussians) * min(1.0, 2 * at_once / rays) if rays else 0.0  # twice its share, for those in front of it
     of_a_view = memory_bytes(math.ceil(met), gaussians.scattering.parameters.shape[1], at_once / views, 1)
     ranges = np.dtype(np.float32).itemsize * at_once
-    thinned = min(at_once, MOST_WAITING + at_once / views) + at_once / _SAMPLES
+    thinned = min(at_once, MOST_WAITING + at_once / views) + at_once / _SAMPLES  # waiting returns, and voxels
     return ranges + max(of_a_view + _RETURN * thinned, _POINT * min(points, MOST_POINTS)) + _KEPT * points
 
 
-def spread(views: Sequence[View], most: int) -> list[View]:
+def spread(views: Sequence[View], most: int = 96) -> list[View]:
     """Choose at most `most` views by farthest-point sampling, starting with the first; their order is kept."""
     if len(views) <= most:
         return list(views)

@@ -24,7 +24,7 @@ _RAYS_PER_PIXEL = 4.0
 _MOST_BYTES = 1 << 29  # memory of a view beyond which it is rendered in bricks
 _RADIUS = 0.25  # standard deviation of the weights around a place, resolution cells
 _NEIGHBOURS = 24  # Gaussians that count around a place
-_ASKED = 2.0  # side of cubes that share one search of neighbours, in these standard deviations
+_SEARCH = 2.0  # side of cubes that share one search of neighbours, in these standard deviations
 
 
 def _rendered(
@@ -37,10 +37,10 @@ def _rendered(
     """
     scene, count = Scene(gaussians, rays), ray_count(gaussians, views, rays)
     needed = memory_bytes(len(gaussians), gaussians.scattering.parameters.shape[1], count / len(views), 1)
-    few = needed <= _MOST_BYTES
-    bricks = [] if few else list(scene.bricks(views, rays, max(rays.spacing_m), count * _MOST_BYTES / needed))
+    fits = needed <= _MOST_BYTES
+    bricks = [] if fits else list(scene.bricks(views, rays, max(rays.spacing_m), count * _MOST_BYTES / needed))
     with stage("surface: what each view sees", len(views) * max(1, len(bricks))) as shown, torch.no_grad():
-        for batch in view_batches(gaussians, views, pixel, rays) if few else ():
+        for batch in view_batches(gaussians, views, pixel, rays) if fits else ():
             yield batch, render(gaussians, batch, pixel, rays=rays), None
             shown.advance(len(batch))
         for brick in bricks:
@@ -74,15 +74,16 @@ class Seen:
         means, channel = gaussians.means.double(), gaussians.scattering.power_channel
         sums = means.new_zeros(len(means), 5)  # cross-section, lit area, towards
         pixel = replace(grid, rows=1, columns=1)  # images would take their time
-        for some, done, index in _rendered(gaussians, views, pixel, rays):
-            outs = torch.from_numpy(np.stack([view.look.facing for view in some])).to(means.device)
-            for area, section, out in zip(done.lit_area.double(), done.cross_sections, outs, strict=True):
-                found = torch.cat([section[:, channel, None].double(), area[:, None], area[:, None] * out], dim=1)
-                if index is None:
-                    sums += found
+        for batch, rendering, of_brick in _rendered(gaussians, views, pixel, rays):
+            directions = torch.from_numpy(np.stack([view.look.facing for view in batch])).to(means.device)
+            of_views = zip(rendering.lit_area.double(), rendering.cross_sections, directions, strict=True)
+            for area, section, direction in of_views:
+                terms = torch.cat([section[:, channel, None].double(), area[:, None], area[:, None] * direction], dim=1)
+                if of_brick is None:
+                    sums += terms
                 else:
-                    rows, own = index
-                    sums[rows[own]] += found[own]
+                    rows, complete = of_brick
+                    sums[rows[complete]] += terms[complete]
         cross_section, lit_area, towards = sums.split([1, 1, 3], dim=1)
         return cls(means, cross_section[:, 0], lit_area[:, 0], towards, _RADIUS * grid.cell_m)
 
@@ -94,7 +95,7 @@ class Seen:
         places = torch.from_numpy(np.asarray(points)).to(self.means)
         means = self.means.new_zeros(len(places), 4)
         count = min(_NEIGHBOURS, len(self.means))
-        for rows, middles, cube in by_cubes(places, _ASKED * self.radius_m) if count else ():
+        for rows, middles, cube in by_cubes(places, _SEARCH * self.radius_m) if count else ():
             index = self._near.nearest(middles, count)[1][cube]
             offsets = ((a[index] - b[:, None]) for a, b in zip(self.means.T, places[rows].T, strict=True))
             square = sum(offset.square() for offset in offsets)
