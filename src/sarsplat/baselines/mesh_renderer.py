@@ -159,16 +159,15 @@ class MeshRenderer:
 
     @property
     def _mapping(self) -> Lattice:
-        """Mapping plane: azimuth across, slant range along."""
-        firsts, steps, sizes = [], [], []
-        image = Lattice.of(self.grid)
-        for first, step, size, parts, margin in zip(
-            image.first_m, image.step_m, (image.columns, image.rows), self._parts, self._margins, strict=True
-        ):
-            firsts.append(first - (margin + 0.5) * step + 0.5 * step / parts)
-            steps.append(step / parts)
-            sizes.append((size + 2 * margin) * parts)
-        return Lattice((firsts[0], firsts[1]), (steps[0], steps[1]), sizes[0], sizes[1])
+        """Mapping plane: the image, azimuth across and slant range along, with margins, in parts of its pixels."""
+        image, parts, margins = Lattice.of(self.grid), self._parts, self._margins
+        across, along = (
+            (first - (margin + 0.5) * step + 0.5 * step / count, step / count, (size + 2 * margin) * count)
+            for first, step, size, count, margin in zip(
+                image.first_m, image.step_m, (image.columns, image.rows), parts, margins, strict=True
+            )
+        )
+        return Lattice((across[0], along[0]), (across[1], along[1]), across[2], along[2])
 
     def _responded(self, power: Float[Tensor, "fine_rows fine_columns"]) -> Float[Tensor, "rows columns"]:
         """Convolve the mapping plane with the response and sample it at the image's pixels, in a fixed order."""
@@ -179,14 +178,16 @@ class MeshRenderer:
         return torch.stack([w * power[:, k : k + ends[1] : parts_across] for k, w in enumerate(across)]).sum(0)
 
     def _averaged(self, mask: Float[Tensor, " fine"]) -> Float[Tensor, "rows columns"]:
-        (across, along), (beside, beyond) = self._parts, self._margins
+        """Mean of the mapping plane in each pixel of the image."""
+        (across, along), (left, near) = self._parts, self._margins
         rows, columns = self.grid.rows, self.grid.columns
-        fine = mask.reshape(rows + 2 * beyond, along, columns + 2 * beside, across)
-        return fine[beyond : beyond + rows, :, beside : beside + columns].mean(dim=(1, 3))
+        fine = mask.reshape(rows + 2 * near, along, columns + 2 * left, across)
+        return fine[near : near + rows, :, left : left + columns].mean(dim=(1, 3))
 
 
 def _corners(
     across: Float[Tensor, " n"], along: Float[Tensor, " n"], faces: Int64[Tensor, "f 3"]
 ) -> Float[Tensor, "f 3 2"]:
+    """Corners of faces on a plane, m."""
     index = faces.reshape(-1)
     return torch.stack([picked(across, index), picked(along, index)], dim=1).reshape(-1, 3, 2)

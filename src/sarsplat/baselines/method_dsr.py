@@ -74,9 +74,8 @@ class Dsr(Baseline):
         self._longest_m = float(sides.max())
         self._center_m = (scene.low_m + scene.high_m) / 2
         self.register_buffer("start", torch.from_numpy(template.vertices * sides / 2 / self._longest_m).float())
-        self.register_buffer("faces", torch.from_numpy(template.faces), persistent=False)
-        self.register_buffer("edges", torch.from_numpy(template.edges), persistent=False)
-        self.register_buffer("flaps", torch.from_numpy(template.flaps), persistent=False)
+        for name in ("faces", "edges", "flaps"):
+            self.register_buffer(name, torch.from_numpy(getattr(template, name)), persistent=False)
         self.register_buffer("masks", _checked_masks(scene), persistent=False)
         self.moved = torch.nn.Parameter(torch.zeros_like(self.start))
         self.log_gamma0 = torch.nn.Parameter(
@@ -134,6 +133,7 @@ class Dsr(Baseline):
         return self._points().detach().double().cpu().numpy(), self.faces.cpu().numpy()
 
     def _points(self) -> Float[Tensor, "n 3"]:
+        """Vertices, m, world frame."""
         points = self.moved.new_tensor(self._center_m) + self._longest_m * (self.start + self.moved)
         if self.scene.views[0].aloft:
             return points

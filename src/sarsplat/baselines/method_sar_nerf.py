@@ -5,6 +5,7 @@
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Annotated, Literal
 
 import numpy as np
@@ -70,13 +71,12 @@ class SarNerf(Baseline):
         self._speckled = self._sound and scene.looks is not None
         self._endless = self.endless and not self._sound
         self.field = self._new_field()
-        self.log_noise = (
-            torch.nn.Parameter(torch.tensor(math.log(_FIRST_NOISE), dtype=torch.float32))
-            if self._speckled and scene.ground
-            else None
-        )
+        self.log_noise: torch.nn.Parameter | None = None
+        if self._speckled and scene.ground:
+            self.log_noise = torch.nn.Parameter(torch.tensor(math.log(_FIRST_NOISE), dtype=torch.float32))
 
     def _new_field(self) -> Field:
+        """Make the initial field; the published one is neither centred nor scaled."""
         generator = torch.Generator().manual_seed(self.config.seed)
         if self._sound:
             side = self.high_m - self.low_m
@@ -143,20 +143,16 @@ class SarNerf(Baseline):
         return self._depth(self.field.attenuation(places)) * self._inside(places)
 
     def _image(self, view: View, generator: torch.Generator | None) -> Float[Tensor, "rows columns"]:
-        grid = self.scene.grid
-        rays = self._rays(view)
+        """β⁰ by rays at random places in their strata, or without `generator` in the middle."""
+        grid, rays = self.scene.grid, self._rays(view)
         offsets = rays.offsets(generator)
         direction = torch.from_numpy(-rays.turn[2]).to(self._like)
         parts = self._parts(rays)
         stored = len(parts) == 1 or not torch.is_grad_enabled()
-        columns = [
-            self._columns(rays, offsets, part, direction)
-            if stored
-            else checkpoint(
-                self._columns, rays, offsets, part, direction, use_reentrant=False, preserve_rng_state=False
-            )
-            for part in parts
-        ]
+        again = partial(
+            checkpoint, self._columns, use_reentrant=False, preserve_rng_state=False
+        )  # in the backward pass
+        columns = [(self._columns if stored else again)(rays, offsets, part, direction) for part in parts]
         shown = torch.cat(columns).T if columns else torch.zeros(0, 0).to(self._like)
         right = grid.columns - rays.first_column - shown.shape[1]
         below = grid.rows - rays.first_row - shown.shape[0]
@@ -176,6 +172,7 @@ class SarNerf(Baseline):
     def _columns(
         self, rays: Rays, offsets: Float64[Tensor, "a k"], part: slice, direction: Float[Tensor, " 3"]
     ) -> Float[Tensor, "c r"]:
+        """β⁰ of a part of the rays' columns, by the image equation of the mode."""
         places = rays.places(offsets, part, self._like)
         inside = self._inside(places)
         raw_attenuation, raw_scattering = self.field(
@@ -192,6 +189,7 @@ class SarNerf(Baseline):
         return returned.sum(1) * (rays.spacing_m / self.scene.grid.spacing_m[1])
 
     def _depth(self, raw: Float[Tensor, " p"]) -> Float[Tensor, " p"]:
+        """Optical depth of a range cell, as `attenuation`, of the field's attenuation."""
         if self._sound:  # raw attenuation is per resolution cell: learning does not depend on the scene's scale
             length = 2 * self.scene.grid.spacing_m[1] / self.scene.grid.cell_m
             return _softplus(raw + _CLEAR) * length

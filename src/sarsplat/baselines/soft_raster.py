@@ -19,10 +19,10 @@ from torch.utils.checkpoint import checkpoint
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid
 
-_LEAST_COVERAGE = 1e-4
+_LEAST_COVERAGE = 1e-4  # below which pairs are left out
 _PAIRS_AT_ONCE = 1 << 18
 _MOST_PAIRS = 1 << 27
-_MOST_PIXELS = 1 << 20
+_MOST_PIXELS = 1 << 20  # from the origin, on each axis
 
 
 @dataclass(frozen=True)
@@ -179,12 +179,13 @@ def _signed(
     along: Float[Tensor, " p"],
     softness_m: float,
 ) -> Float[Tensor, " p"]:
+    """±d²/σ of pairs of a triangle, whose corners are x, y, x, y, x, y in `flat`, and a pixel's centre, m."""
     x = [picked(flat[2 * k], face) - across for k in range(3)]
     y = [picked(flat[2 * k + 1], face) - along for k in range(3)]
     squared, sides = [], []
     for k in range(3):
         n = (k + 1) % 3
-        ex, ey = x[n] - x[k], y[n] - y[k]
+        ex, ey = x[n] - x[k], y[n] - y[k]  # an edge, whose nearest point to the pixel is at this share
         share = (-(x[k] * ex + y[k] * ey) / (ex * ex + ey * ey).clamp(min=1e-12)).clamp(0, 1)
         squared.append((x[k] + share * ex) ** 2 + (y[k] + share * ey) ** 2)
         sides.append((x[k] * y[n] - x[n] * y[k]).detach() > 0)

@@ -73,7 +73,7 @@ class _Accumulated(torch.autograd.Function):
                 found = torch.autograd.grad(share, parameters, allow_unused=True)
             ctx.gradients = list(starmap(_sum, zip(ctx.gradients, found, strict=True)))
             shares.append(share.detach())
-            renderings.append(_detached(rendering))
+            renderings.append(detached(rendering))
             del loss, share, rendering, found  # frees the graph
         return torch.stack(shares).sum()
 
@@ -87,6 +87,12 @@ def _sum(total: Tensor | None, more: Tensor | None) -> Tensor | None:
     return more if total is None else total if more is None else total.add_(more)
 
 
-def _detached(rendering: Rendering) -> Rendering:
-    images, sections = rendering.images.detach(), rendering.cross_sections.detach()
-    return replace(rendering, images=images, cross_sections=sections, echoes=(), ground=None)
+def detached(rendering: Rendering) -> Rendering:
+    """The rendering without its autograd graph, whose memory the next batch or strategies need."""
+    return replace(
+        rendering,
+        images=rendering.images.detach(),
+        cross_sections=rendering.cross_sections.detach(),
+        echoes=tuple(one.detach() for one in rendering.echoes),
+        ground=None if rendering.ground is None else rendering.ground.detach(),
+    )

@@ -27,11 +27,10 @@ _PIXELS = 256  # side of the images of the trial at most: larger ones are multil
 _SMOOTHED_DROPOUT = 0.4  # dropout where there are coarser levels, at which smoothed surfaces average speckle already
 _FEWEST = 4  # minimum number of images, and of gains: fewer do not separate gains from the ground's power law in sin θ
 _GROUND_DB = 1.5  # maximum distance of ground pixels from the rendering's median, dB
+_TARGET_DB = 6.0  # minimum level of target pixels above that median, dB
 
 _GAIN_DB = 0.25
 """Minimum standard deviation of gains that are learned, dB: roads and dense scenes leave up to 0.2 dB in a trial."""
-
-_TARGET_DB = 6.0  # minimum level of target pixels above that median, dB
 
 
 @dataclass(frozen=True)
@@ -81,6 +80,7 @@ def chosen(dataset: Dataset) -> Config:
 
 
 def _trial(dataset: Dataset, scene: Config) -> Trainer:
+    """Train for a tenth of the iterations, on the CPU."""
     config = replace(
         scene,
         iterations=math.ceil(_SHARE * scene.iterations),
@@ -106,8 +106,9 @@ def differences(train: Dataset, trainer: Trainer) -> Differences:
     losses = np.array([_displaced(one, image, train.grid) for one, image in zip(expected, train.power, strict=True)])
     common = losses.sum(axis=(0, 1)).argmin()  # a displacement of all images alike is the scene's
     even, odd = losses.argmin(axis=2).T
-    displaced, one = int(((even == odd) & (even != common)).sum()), np.arange(len(losses))
-    cross = losses[one, 1, even] - losses[one, 1, common] + losses[one, 0, odd] - losses[one, 0, common]
+    displaced, k = int(((even == odd) & (even != common)).sum()), np.arange(len(losses))
+    # cross-validated: the loss of odd rows at the best place of even ones, and the reverse
+    cross = losses[k, 1, even] - losses[k, 1, common] + losses[k, 0, odd] - losses[k, 0, common]
     shift_nats = -cross.mean() / 2 - 2 * per_parameter if displaced > len(losses) / 2 else 0.0
     return Differences(len(losses), gain_std_db, displaced, 0.0 - max(gain_nats, 0.0) - max(shift_nats, 0.0))
 

@@ -20,10 +20,8 @@ from sarsplat.geometry.view import check_unstretched
 from sarsplat.renderer import Rendering, render
 from sarsplat.renderer.constants import CELL_WIDENING, IMAGE_CUT, MIN_RAY_DEPTH
 
-_ON_RAYS = math.sqrt(2 * math.log(MAX_OPTICAL_DEPTH / MIN_RAY_DEPTH))
-"""Largest distance from a Gaussian at which it attenuates rays, standard deviations."""
-
-_IN_IMAGE = math.sqrt(IMAGE_CUT)  # largest distance from a Gaussian at which it changes pixels, standard deviations
+_ON_RAYS = math.sqrt(2 * math.log(MAX_OPTICAL_DEPTH / MIN_RAY_DEPTH))  # reach of a Gaussian, standard deviations
+_IN_IMAGE = math.sqrt(IMAGE_CUT)  # reach of a Gaussian in pixels, standard deviations
 
 
 @dataclass(frozen=True)
@@ -52,7 +50,8 @@ class Windows:
         rows, columns = (max(getattr(grid, name) for grid in self.grids) for name in ("rows", "columns"))
         return replace(self.grids[0], rows=rows, columns=columns)
 
-    def of(self, images: Float[Tensor, "v rows columns"]) -> Float[Tensor, "v some few"]:
+    def of(self, images: Float[Tensor, "v rows columns"]) -> Float[Tensor, "v m n"]:
+        """Cut the windows out of the images, and stack them."""
         parts = zip(images, self.rows, self.columns, strict=True)
         return torch.stack([_filled(image[rows, columns], self.stack) for image, rows, columns in parts])
 
@@ -86,10 +85,10 @@ class Windows:
         sections = gaussians.means.new_zeros(len(views), len(gaussians), len(gaussians.scattering.channels))
         areas = gaussians.means.new_zeros(len(views), len(gaussians))
         for k, (view, number) in enumerate(zip(views, numbers, strict=True)):
-            part_of, whole = self.grids[number], self.stack
-            rows, columns = part_of.rows * grid.rows // whole.rows, part_of.columns * grid.columns // whole.columns
-            own = replace(grid, rows=rows, columns=columns, center_m=part_of.center_m)
-            index = _needed(gaussians, view, own, rays, ground, 0.0).nonzero()[:, 0]
+            window, stack = self.grids[number], self.stack
+            rows, columns = window.rows * grid.rows // stack.rows, window.columns * grid.columns // stack.columns
+            own = replace(grid, rows=rows, columns=columns, center_m=window.center_m)
+            index = _needed(gaussians, view, own, rays, ground, margin_m=0.0).nonzero()[:, 0]
             part = render(
                 gaussians.with_tensors(**{name: tensor.index_select(0, index) for name, tensor in tensors.items()}),
                 [view],

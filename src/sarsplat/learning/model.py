@@ -129,6 +129,7 @@ class SceneModel:
         self.windows, self.learned = windows, self._learned()
 
     def _learned(self) -> dict[str, Learned]:
+        """Parameters of all parts; in windows, those that are not per Gaussian are frozen."""
         learned = {name: how for part in self.parts for name, how in part.learned.items()}
         if self.windows is None:
             return learned
@@ -245,7 +246,10 @@ class SceneModel:
         numbers: Int64[Tensor, " v"] | None = None,
         dropped: Bool[Tensor, " n"] | None = None,
     ) -> tuple[ExpectedStacks, Rendering]:
-        """Render covariances between channels, with noise, in the model's unit; otherwise like `render`."""
+        """Render covariances between channels, with noise, in the model's unit; otherwise like `render`.
+
+        The images of the `Rendering` are the mean power of the channels, without noise.
+        """
         self._refuse_echoes("covariances of stacks")
         shot = self.shot(views, grid, numbers)
         scene = self.scene(degree, dropped)

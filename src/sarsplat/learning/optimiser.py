@@ -126,15 +126,16 @@ class Optimiser:
 
     def tensors(self) -> dict[str, Tensor]:
         """Adam's moments as `parameter/moment`, and the number of steps, to be saved."""
-        moments = {f"{name}/{moment}": value for name, of in self.state.items() for moment, value in of.items()}
+        state = self.state.items()
+        moments = {f"{name}/{moment}": value for name, own in state for moment, value in own.items()}
         return moments | {"step": torch.tensor(float(self._steps), dtype=torch.float32, device="cpu")}
 
     def load(self, tensors: dict[str, Tensor]) -> None:
         self._steps = int(tensors["step"])
         if self._steps < 0:
             raise ValueError(f"the optimiser made {self._steps} steps")
-        for name, of in self.state.items():
-            for moment, value in of.items():
+        for name, moments in self.state.items():
+            for moment, value in moments.items():
                 value.copy_(fitting(tensors, f"{name}/{moment}", torch.float32, value.shape))
 
 

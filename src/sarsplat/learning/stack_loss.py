@@ -86,10 +86,10 @@ class _Nats(torch.autograd.Function):
         refuse_failed(int((failed > 0).sum()))
         inverse = torch.cholesky_inverse(factor)
         fitted = inverse @ samples
-        surprise, half = (torch.diagonal(of, dim1=-2, dim2=-1).real for of in (fitted, factor))
+        trace, roots = (torch.diagonal(matrix, dim1=-2, dim2=-1).real for matrix in (fitted, factor))
         ctx.save_for_backward(inverse - fitted @ inverse)
-        ctx.pixels = surprise[..., 0].numel()
-        nats = surprise.sum(-1) + 2 * half.log().sum(-1)
+        ctx.pixels = trace[..., 0].numel()
+        nats = trace.sum(-1) + 2 * roots.log().sum(-1)
         return nats.mean(2).mean(1).mean(0)  # one by one: bits must not depend on threads
 
     @staticmethod
@@ -171,8 +171,8 @@ def windowed_nats(
     phases = level - planes.turns[..., None]
     if expected.phases is not None:
         phases = phases - expected.phases
-    of = (torch.tensor(own, dtype=torch.int32) for own in (planes.of_channels, planes.of_pairs))
-    inputs = planes.powers, planes.pairs, phases, expected.noise, samples, *of
+    indices = (torch.tensor(each, dtype=torch.int32) for each in (planes.of_channels, planes.of_pairs))
+    inputs = planes.powers, planes.pairs, phases, expected.noise, samples, *indices
     new_pass = passes_for("auto", {"powers": planes.powers, "samples": samples})
     nats, failed = StackNats(expected, level, window).on(new_pass, *inputs)
     refuse_failed(int(failed))

@@ -17,6 +17,7 @@ from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError, SarsplatWarning, shown
 from sarsplat.gaussians import Gaussians, scattering_named
 from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.learning.batching import detached
 from sarsplat.learning.device_choice import usable_device
 from sarsplat.learning.losses import Loss
 from sarsplat.learning.model import SceneModel
@@ -84,6 +85,7 @@ class Trainer:
         self._recorded = self._recorder(loss)
 
     def _learn(self, model: SceneModel) -> None:
+        """Begin to train a model, at full resolution, with new states of optimiser and strategies."""
         self._observation.begin(model)
         self.model, self._bounds, self.images, self._factor = model, model.scene_bounds(), self._finest, 1
         self.optimiser = Optimiser(model.parameters, model.learned, self.config.iterations)
@@ -115,12 +117,13 @@ class Trainer:
         return loss
 
     def _eager_step(self, chosen: Sequence[int], step: int) -> tuple[Tensor, Rendering]:
+        """Make the step without a CUDA graph."""
         loss, total, rendering = self._losses(chosen, step, step)
         self._each_strategy("step_pre_backward", step, chosen, rendering)
         total.backward()
         self._gather(step, rendering)
         self.optimiser.step(self.iteration)
-        return loss, _detached(rendering)
+        return loss, detached(rendering)
 
     def _recorded_step(self, chosen: Sequence[int], step: int) -> tuple[Tensor, Rendering] | None:
         """Make the step by a CUDA graph; None if it cannot be recorded."""
@@ -134,7 +137,7 @@ class Trainer:
             gradients = torch.autograd.grad(total, list(model.parameters.values()))
             self._gather(step, rendering)
             stepper.step_on_device(gradients, rates)
-            return loss, _detached(rendering), self._terms
+            return loss, detached(rendering), self._terms
 
         gradients_wanted = tuple(strategy.wants_plane_gradients(step) for strategy in self.strategies)
         kind = self._factor, model.degree(self.iteration), self._rays, gradients_wanted
@@ -273,10 +276,10 @@ class Trainer:
     @checks_arguments
     def rendered(self, views: Sequence[View]) -> Float32[np.ndarray, "v rows columns"]:
         """Render β⁰ of any views, linear power, with the rays of the training."""
-        degree, few, power = self.model.degree(self.iteration), self.config.views_per_step, self.model.power_channel
+        degree, count, power = self.model.degree(self.iteration), self.config.views_per_step, self.model.power_channel
+        batches = (views[first : first + count] for first in range(0, len(views), count))  # a step fits into memory
         images = [
-            self.model.render(views[first : first + few], self.grid, degree, rays=self._rays)[0][:, power].cpu().numpy()
-            for first in range(0, len(views), few)  # a step fits into memory
+            self.model.render(batch, self.grid, degree, rays=self._rays)[0][:, power].cpu().numpy() for batch in batches
         ]
         return np.concatenate(images or [np.empty((0, self.grid.rows, self.grid.columns), np.float32)])
 
@@ -337,14 +340,3 @@ class Trainer:
 
 def _followed_in(source: Tensor, kept: Tensor, rows: Tensor) -> Tensor:
     return followed(rows.transpose(0, 1), source, kept).transpose(0, 1)
-
-
-def _detached(rendering: Rendering) -> Rendering:
-    """The rendering without its autograd graph, whose memory strategies need."""
-    return replace(
-        rendering,
-        images=rendering.images.detach(),
-        cross_sections=rendering.cross_sections.detach(),
-        echoes=tuple(one.detach() for one in rendering.echoes),
-        ground=None if rendering.ground is None else rendering.ground.detach(),
-    )

@@ -21,15 +21,9 @@ FARTHEST, STRONGEST = 1e9, 1e15
 FLATTEST, STEEPEST = 1e-8, 1e8
 """Limits of the roots of footprints, 1/m."""
 
-_LENGTHS = {
-    "means": FARTHEST,
-    "shift": FARTHEST,
-    "centers": 2 * FARTHEST,
-    "range_m": 2 * FARTHEST,
-}  # a mean and a shift
-_NUMBERS = (
-    *("scattering", "gain", "ground.gamma0", "ground.exponent", "tilt", "amplitudes", "cross_sections", "slopes"),
-)
+_OF_BOTH = 2 * FARTHEST  # of a mean and a shift
+_LENGTHS = {"means": FARTHEST, "shift": FARTHEST, "centers": _OF_BOTH, "range_m": _OF_BOTH}
+_NUMBERS = ("scattering", "gain", "ground.gamma0", "ground.exponent", "tilt", "amplitudes", "cross_sections", "slopes")
 _MAX_ABS = {**_LENGTHS, **dict.fromkeys(_NUMBERS, STRONGEST), "roots": STEEPEST}
 _POSITIVE = "optimise logarithms, or clamp"
 ALLOWED = {

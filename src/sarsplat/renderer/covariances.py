@@ -298,8 +298,8 @@ class Sections(Operation):
         slopes = torch.stack([a * a * yx + mixed * yz, mixed * yx + (b * b + c * c) * yz], dim=-1)
         variance = (yy - slopes[..., 0] * yx - slopes[..., 1] * yz).clamp(min=0)
         phase = (frames[:, 1] @ means.T)[..., None] * numbers[:, None]
-        left = torch.exp(variance[..., None] * (-0.5 * numbers[:, None] ** 2))
-        cosine, sine = left * phase.cos(), left * phase.sin()
+        coherence = torch.exp(variance[..., None] * (-0.5 * numbers[:, None] ** 2))
+        cosine, sine = coherence * phase.cos(), coherence * phase.sin()
         if imaginary is None:
             turned = real * cosine, real * sine
         else:

@@ -166,8 +166,8 @@ def _cut(tile: Tile, means: Float[Tensor, "n 3"], parts: int, axis: int) -> list
 def with_some(snapshot: Snapshot, rows: Collection[str], which: Bool[Tensor, " n"]) -> Snapshot:
     """Snapshot with a subset of the Gaussians; `rows` names the parameters with a row for each."""
     chosen = which.cpu().nonzero()[:, 0]
-    some = {name: tensor[chosen] for name, tensor in snapshot.tensors.items() if _of_rows(name, rows)}
-    return replace(snapshot, tensors=snapshot.tensors | some)
+    subset = {name: tensor[chosen] for name, tensor in snapshot.tensors.items() if _of_rows(name, rows)}
+    return replace(snapshot, tensors=snapshot.tensors | subset)
 
 
 def merged(parts: Sequence[Snapshot], rows: Collection[str], seconds: float) -> Snapshot:

@@ -106,17 +106,17 @@ class Stacks(Observation):
                 "a strategy asks for plane gradients, which cannot be combined with passes on; omit it, or give passes "
                 "off"
             )
-        of, chosen = self.images, batch.chosen
+        own, chosen = self.images, batch.chosen
         expected, rendering = model.covariances(
             [images.views[i] for i in chosen],
-            [of.stacks[i] for i in chosen],
-            of.grid,
+            [own.stacks[i] for i in chosen],
+            own.grid,
             batch.degree,
             rays=batch.rays,
-            numbers=torch.stack([of.numbers[i] for i in chosen]),
+            numbers=torch.stack([own.numbers[i] for i in chosen]),
             dropped=batch.dropped,
         )
-        level, measured = (torch.stack([stacked[i] for i in chosen]) for stacked in (of.plane_phases, of.measured))
+        level, measured = (torch.stack([tensors[i] for i in chosen]) for tensors in (own.plane_phases, own.measured))
         return windowed_nats(expected, level, measured / model.unit, self._settings.window), rendering
 
 
@@ -131,9 +131,9 @@ def _refuse_stacks(config: Config, train: Dataset, dataset: Dataset) -> None:
         )
     for entry in train.entries:
         if entry.stack is not None and entry.stack.of_channels != first.stack.of_channels:
-            of = (", ".join(one.of_channels) for one in (first.stack, entry.stack))
+            own, other = (", ".join(stack.of_channels) for stack in (first.stack, entry.stack))
             raise SarsplatError(
-                f"{first.name} has the polarisations {next(of)} and {entry.name} has {next(of)}; give all views of "
+                f"{first.name} has the polarisations {own} and {entry.name} has {other}; give all views of "
                 f"{dataset} the same, in the same order"
             )
     if config.passes.window > max(grid.rows, grid.columns):

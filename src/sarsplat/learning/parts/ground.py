@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import torch
@@ -109,11 +109,9 @@ class GroundBouncePart(Part):
 
     @property
     def learned(self) -> dict[str, Learned]:
-        def later(done: float) -> float:
-            return late(done) if done >= self.config.law_from else 0.0  # not before the shape is known
-
         rates, start = (self.config.rates.nuisance,), self.settings.reflectivity
-        return {"ground_reflectivity": Learned((1,), rates, later, 0.0, 1.0, start=start)}
+        decay = partial(late, begin=self.config.law_from)  # not before the shape is known
+        return {"ground_reflectivity": Learned((1,), rates, decay, 0.0, 1.0, start=start)}
 
     def echoes(self, p: Parameters) -> tuple[Echo, ...]:
         reflectivity = p["ground_reflectivity"][0]

@@ -22,9 +22,9 @@ Parameters = dict[str, Tensor]
 """Every parameter of a model by name: leaves, float32, contiguous and on one device."""
 
 
-def late(done: float) -> float:
-    """Decay of most learning rates at a share of the training: tenfold over the second half."""
-    return 0.1 ** max(0.0, 2 * done - 1)
+def late(done: float, begin: float = 0.0) -> float:
+    """Decay of most learning rates at a share of the training: 0 before `begin`, tenfold over the second half."""
+    return 0.1 ** max(0.0, 2 * done - 1) if done >= begin else 0.0
 
 
 @dataclass(frozen=True)

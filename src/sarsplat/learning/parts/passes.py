@@ -74,7 +74,7 @@ class PhaseScreen(Part):
         start = torch.zeros(len(train), train.passes, 3, dtype=torch.float32, device="cpu")
         pairs = zip(train.signal, train.views, train.stacks, strict=True)
         for index, (signal, view, stack) in enumerate(pairs):
-            start[index, :, 0] = torch.from_numpy(_left_over(signal, view, stack, train.grid))
+            start[index, :, 0] = torch.from_numpy(_residual_phases(signal, view, stack, train.grid))
         return {"phase_screen": start.flatten(1)}
 
     def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
@@ -91,7 +91,7 @@ class PhaseScreen(Part):
         return constant[..., None, None] + along[..., None, None] * across + away[..., None, None] * down[:, None]
 
 
-def _left_over(
+def _residual_phases(
     signal: Complex64[np.ndarray, "p rows columns"], view: View, stack: Stack, grid: ImageGrid
 ) -> Float32[np.ndarray, " p"]:
     """Phases of the strongest component of all pixels, minus those of the height that fits them best, rad."""
@@ -99,9 +99,9 @@ def _left_over(
     _, vectors = np.linalg.eigh(level @ level.conj().T)
     phases = np.angle(vectors[:, -1])
     numbers = stack.elevation_numbers(view)
-    least = np.ptp(numbers) / max(len(stack) - 1, 1)
-    heights = np.linspace(-np.pi, np.pi, _HEIGHTS) / least if least else np.zeros(1)
+    step = np.ptp(numbers) / max(len(stack) - 1, 1)  # mean, rad/m: evenly spaced passes repeat every 2π / step
+    heights = np.linspace(-np.pi, np.pi, _HEIGHTS) / step if step else np.zeros(1)
     agreement = np.exp(1j * (phases - heights[:, None] * numbers)).sum(1)
     best = int(np.abs(agreement).argmax())
-    left = np.angle(np.exp(1j * (phases - heights[best] * numbers - np.angle(agreement[best]))))
-    return left.astype(np.float32)
+    residual = np.angle(np.exp(1j * (phases - heights[best] * numbers - np.angle(agreement[best]))))
+    return residual.astype(np.float32)

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -30,7 +30,6 @@ from sarsplat.renderer.point_queries import at_places
 from sarsplat.settings.config import Config
 
 _MIN_OPTICAL_DEPTH = 1e-3
-
 _FAINT = 0.05  # optical depth of a faint Gaussian, the scale of the sparsity prior
 
 _INITIAL_WIDTHS = (1.0, 1.0, 0.9)
@@ -42,8 +41,7 @@ _STEP, _SEED = 0x9E3779B97F4A7C15, 0xD1B54A32D192ED03  # odd multipliers that sp
 _MIX = (0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
 """Steele, Lea & Flood, Fast splittable pseudorandom number generators, 2014, as improved by Stafford (variant 13)."""
 
-_BITS = 24
-
+_BITS = 24  # of the hash that decide
 _MAX_SHARE = 0.4  # maximum share dropped because there are few views
 
 
@@ -70,9 +68,6 @@ class Target(Part):
         def falling(done: float) -> float:
             return (rates.means_end / rates.means) ** done
 
-        def later(done: float) -> float:
-            return late(done) if done >= config.law_from else 0.0
-
         learned = {
             "means": Learned((None, 3), (rates.means * self._cell_m,), falling, lowest, highest),
             "quaternions": Learned((None, 4), (rates.quaternions,)),
@@ -88,7 +83,7 @@ class Target(Part):
         }
         if ranges:
             low, high = torch.tensor(ranges, dtype=torch.float32, device="cpu").T
-            learned["law"] = Learned((1, len(ranges)), (rates.law,), later, low, high)
+            learned["law"] = Learned((1, len(ranges)), (rates.law,), partial(late, begin=config.law_from), low, high)
         return learned
 
     def initial(self, train: Dataset, generator: torch.Generator) -> Parameters:
@@ -142,9 +137,9 @@ class Target(Part):
         """Add the Gaussians; those not `dropped` get more optical depth in compensation."""
         depth = p["optical_depth"]
         if dropped is not None:
-            left = 1 - share_dropped(self.config, len(self.frame.views))
-            more = (depth / left).clamp(max=self.config.max_optical_depth)
-            depth = torch.where(dropped, 0.0, more)
+            share_left = 1 - share_dropped(self.config, len(self.frame.views))
+            raised = (depth / share_left).clamp(max=self.config.max_optical_depth)
+            depth = torch.where(dropped, 0.0, raised)
         target = Gaussians(self._lifted(p["means"]), p["quaternions"], p["scales"], depth, self._scattering(p, degree))
         return target if scene is None else Gaussians.cat([scene, target])
 
@@ -159,6 +154,7 @@ class Target(Part):
         return Bounds((*low.tolist(),), (*high.tolist(),), largest, depth, "cpu")
 
     def _scattering(self, p: Parameters, degree: int) -> Scattering:
+        """Scattering of all Gaussians, their own parameters before the shared ones."""
         rows = p["scattering"]
         if "law" in p:
             rows = torch.cat([rows, in_rows(p["law"], len(rows))], dim=1)
@@ -283,6 +279,7 @@ def _cells(train: Dataset) -> float:
 
 
 def _start_scales_m(config: Config, cell_m: float) -> list[float]:
+    """Initial standard deviations along a Gaussian's axes, m."""
     smallest, first, _ = scales_m(config, cell_m)
     if not scattering_named(config.scattering).oriented:
         return [first] * 3

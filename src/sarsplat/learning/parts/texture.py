@@ -91,12 +91,13 @@ class Maps:
         grid: ImageGrid,
         settings: Surroundings,
     ) -> "Maps":
+        """Smooth the ratios by the width of the settings, and make their maps."""
         sigma = [0.0, *(settings.texture_width * grid.cell_m / spacing for spacing in reversed(grid.spacing_m))]
         radius = [min(int(_TRUNCATED * s + 0.5), count) for s, count in zip(sigma, ratio.shape, strict=True)]
         smooth = gaussian_filter(ratio.cpu().double().numpy(), sigma, mode="nearest", radius=radius)
-        given = 4 if any(view.tilt_deg or view.side == "left" for view in views) else 2
+        count = 4 if any(view.tilt_deg or view.side == "left" for view in views) else 2  # as earlier versions read
         numbers = [(view.azimuth_deg, view.grazing_deg, view.tilt_deg, float(view.side == "left")) for view in views]
-        view_deg = torch.tensor([one[:given] for one in numbers], dtype=torch.float32).double()
+        view_deg = torch.tensor([row[:count] for row in numbers], dtype=torch.float32).double()  # exact enough
         return cls(
             {"ratio": torch.from_numpy(smooth).to(ratio), "shift_m": shift_m.clone(), "view_deg": view_deg},
             grid,
@@ -132,6 +133,7 @@ class Maps:
     def _factor(
         self, view: View, shift_m: Float64[np.ndarray, " 2"], dropped: int | None, grid: ImageGrid
     ) -> Float32[Tensor, "{grid.rows} {grid.columns}"]:
+        """Weighted mean ratio of images from nearby azimuths, but `dropped`, with `texture_looks` more of ratio 1."""
         total = torch.zeros_like(self._maps[0])
         for k, source in enumerate(self._views):
             turn_deg = (source.azimuth_deg - view.azimuth_deg + 180) % 360 - 180

@@ -45,8 +45,8 @@ class Smoothed(Configured):
 
     @classmethod
     def of(cls, config: Config, train: Dataset) -> Self | None:
-        wanted = config.smoothing.rounds > 0 and config.coarsest > 1
-        return cls(config.smoothing, config.iterations) if wanted else None
+        acts = config.smoothing.rounds > 0 and config.coarsest > 1
+        return cls(config.smoothing, config.iterations) if acts else None
 
     def due(self, step: int) -> bool:
         return step > 0 and at_round(step, 0, self._iterations, self._config.rounds)

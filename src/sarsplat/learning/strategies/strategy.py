@@ -44,11 +44,10 @@ class State:
 
     def load(self, tensors: dict[str, Tensor]) -> None:
         """Restore `tensors`; raise KeyError or ValueError if they do not fit."""
-        for of in (self.rows, self.whole):
-            for name, like in of.items():
-                if name in self.added and name not in tensors:
-                    continue
-                of[name] = fitting(tensors, name, like.dtype, like.shape).to(like.device, copy=True)
+        for own in (self.rows, self.whole):
+            for name, like in own.items():
+                if name in tensors or name not in self.added:
+                    own[name] = fitting(tensors, name, like.dtype, like.shape).to(like.device, copy=True)
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,7 @@ class TurnRefinement(Configured):
     def __init__(self, train: Dataset, settings: Turns, iterations: int) -> None:
         self._entries, self._settings, self._iterations = train.entries, settings, iterations
         self._passes = uncertain_passes(train)
-        self._pass = np.array([-1 if (of := _number(self._passes, one)) is None else of for one in self._entries])
+        self._pass = np.array([-1 if (k := _number(self._passes, one)) is None else k for one in self._entries])
 
     @classmethod
     def of(cls, config: Config, train: Dataset) -> Self | None:
@@ -89,10 +89,10 @@ class TurnRefinement(Configured):
         target's edge, seen from its centre.
         """
         changed = correction.copy()
-        for of, turn in enumerate(self._passes):
-            frames = np.flatnonzero(self._pass == of)
+        for number, turn in enumerate(self._passes):
+            frames = np.flatnonzero(self._pass == number)
             own = Pass(turn, [self._entries[k] for k in frames], frames, differences, samples[frames])
-            changed[of] = own.stepped(correction[of], cell_rad)
+            changed[number] = own.stepped(correction[number], cell_rad)
         return changed
 
 
@@ -160,11 +160,11 @@ def corrected_views(
     """Views of any images; those of one of the passes are corrected."""
     views = []
     for entry in entries:
-        of = _number(passes, entry)
-        if entry.turn is None or of is None:
+        number = _number(passes, entry)
+        if entry.turn is None or number is None:
             views.append(entry.view)
         else:
-            first, second, faster = correction[of].tolist()
+            first, second, faster = correction[number].tolist()
             views.append(entry.turn.corrected(entry.view, (first, second), faster))
     return tuple(views)
 

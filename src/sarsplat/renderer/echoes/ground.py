@@ -64,13 +64,14 @@ class GroundEcho(Echo):
             table = ground.gamma0 if ground.gamma0.ndim else ground.gamma0[None, None]
             surface = ground.height_m, table.expand(len(s.views), -1, -1), ground.pitch_m, s.shift, s.new_pass
             beta0 = lit_terrain(s.ends, s.views, s.grid, s.rays, *surface)
-            return beta0 if ground.exponent is None else beta0 * _law(ground, _numbers(ground, s.views)[1])
-        if all(view.look.level for view in candidates(s.views)[0]):
+            return beta0 if ground.exponent is None else beta0 * _law(ground, _look_numbers(ground, s.views)[1])
+        every, _ = candidates(s.views)
+        if all(view.look.level for view in every):
             lit_share = lit_ground(s.ends, s.views, s.grid, s.rays, ground.height_m, s.shift, s.new_pass)
-        else:
+        else:  # under a tilt, rays on the plane are not in rows: as on terrain, with γ⁰ = 1
             ones = torch.ones(len(s.views), 1, 1, dtype=s.lit_area.dtype, device=s.lit_area.device)
             beta0 = lit_terrain(s.ends, s.views, s.grid, s.rays, ground.height_m, ones, 1.0, s.shift, s.new_pass)
-            lit_share = beta0 / _numbers(ground, s.views)[0]
+            lit_share = beta0 / _look_numbers(ground, s.views)[0]
         return lit_share * free_plane(ground, ground.height_m, s.views, s.grid, s.shift)
 
 
@@ -83,7 +84,7 @@ def free_plane(
 ) -> Float[Tensor, "v {grid.rows} {grid.columns}"]:
     """Return β⁰ of a plane that nothing hides."""
     table, device = ground.gamma0, ground.gamma0.device
-    tangent, log_sine, sine, rise, *onto = _numbers(ground, views)
+    tangent, log_sine, sine, rise, *onto = _look_numbers(ground, views)
     level = tangent if ground.exponent is None else tangent * _law(ground, log_sine)
     if table.numel() == 1:
         # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
@@ -102,15 +103,15 @@ def _law(ground: Ground, log_sine: Float[Tensor, "v 1 1"]) -> Float[Tensor, "v 1
     return (ground.exponent * log_sine).exp()
 
 
-def _numbers(ground: Ground, views: Sequence[View]) -> Float[Tensor, "k v 1 1"]:
-    """Return `_of_view` of all views."""
+def _look_numbers(ground: Ground, views: Sequence[View]) -> Float[Tensor, "k v 1 1"]:
+    """Return the k = 8 numbers of `_of_look` for all views: β⁰/γ⁰ is the first, ln sin θ the second."""
     table = ground.gamma0
-    return by_view(_of_view, views, table.device).to(table).T[..., None, None]
+    return by_view(_of_look, views, table.device).to(table).T[..., None, None]
 
 
 # A training asks for the same few views again and again, and a GPU should not be sent them each time.
 @kept_on_device(maxsize=4096)
-def _of_view(view: View, device: torch.device) -> Float64[Tensor, " 8"]:
+def _of_look(view: View, device: torch.device) -> Float64[Tensor, " 8"]:
     """Return β⁰/γ⁰, ln sin θ, sin θ, height per azimuth, and `Look.onto_ground` row by row."""
     look = view.look
     numbers = look.slope, math.log(look.sine), look.sine, look.height_per_azimuth, *look.onto_ground.ravel()

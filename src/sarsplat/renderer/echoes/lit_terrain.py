@@ -50,6 +50,7 @@ class _Patches:
     def of(
         cls, cells: Cells, view: View, rays: RayGrid, size: tuple[int, int], origin: tuple[float, float]
     ) -> "_Patches":
+        """Place the cells of a view, whose traced rays have a lattice of `size` from `origin`, m (`RayEnds`)."""
         (dx, dy), frame = rays.spacing_m, view.look.frame
         x, y = ((first + 0.5) * step for first, step in zip(cells.first, rays.spacing_m))
         column, row = (
@@ -73,9 +74,9 @@ def lit_terrain(
     shift: Float[Tensor, "v 2"] | None,
     new_pass: NewPass | None,
 ) -> Float[Tensor, "v {grid.rows} {grid.columns}"]:
-    """Return β⁰ of terrain, or of the plane z = `terrain`, with a table of γ⁰ for each view.
+    """Return β⁰ of terrain, or of the plane z = `terrain`; differentiable by T_end, γ⁰ and shift.
 
-    Differentiable by T_end, γ⁰ and shift.
+    `gamma0` is a table for each view, `pitch_m` apart along x and y, around the origin.
     """
     every, chosen = candidates(views)
     patches = [
@@ -84,14 +85,14 @@ def lit_terrain(
             cells_of(terrain, views, grid, rays, shift), every, ends.sizes, ends.origins, strict=True
         )
     ]
-    operation = LitTerrain(patches, pitch_m, grid, rays.spacing_m[1], chosen)
-    return operation.on(new_pass, ends.transmittance, gamma0, shift)
+    return LitTerrain(patches, pitch_m, grid, rays.spacing_m[1], chosen).on(new_pass, ends.transmittance, gamma0, shift)
 
 
 class LitTerrain(Operation):
     """Operation of `lit_terrain`, given the rays' patches; on engines, sums do not depend on threads.
 
-    For `ChosenViews` there are patches of all candidates, and each view has equally many rays.
+    For `ChosenViews` there are patches of all candidates, and each view has equally many rays. `ray_m` is the height δy
+    of a ray's cell.
     """
 
     operation = "lit_terrain"
@@ -103,10 +104,10 @@ class LitTerrain(Operation):
         patches: Sequence[_Patches],
         pitch_m: float,
         grid: ImageGrid,
-        height_m: float,
+        ray_m: float,
         chosen: Int64[Tensor, " v"] | None = None,
     ) -> None:
-        self.patches, self.pitch_m, self.grid, self.height_m, self.chosen = patches, pitch_m, grid, height_m, chosen
+        self.patches, self.pitch_m, self.grid, self.ray_m, self.chosen = patches, pitch_m, grid, ray_m, chosen
 
     def plain(
         self,
@@ -120,9 +121,8 @@ class LitTerrain(Operation):
         for k, (patch, part) in enumerate(zip(self.patches, parts, strict=True)):
             azimuth_shift, range_shift = (0.0, 0.0) if shift is None else shift[k]
             low, high = (edge.to(part) for edge in (patch.cells.low_m, patch.cells.high_m))
-            returned = (
-                self.height_m * _gamma0(patch, gamma0[k], self.pitch_m, (low + high) / 2) * _everywhere(patch, part)
-            )
+            gamma0_at = _gamma0(patch, gamma0[k], self.pitch_m, (low + high) / 2)
+            returned = self.ray_m * gamma0_at * _everywhere(patch, part)
             pixels = rows.places(part.device).to(part) - range_shift
             width = max(1, _MAX_SAVED // max(1, rows.count * len(low)))
             ranged = [
@@ -139,9 +139,10 @@ class LitTerrain(Operation):
         sizes = [math.prod(patch.traced[1]) for patch in self.patches]
         of_rays, firsts = ray_numbers(self.grid, len(gamma0), sizes, len(transmittance), self.chosen)
         patches = [self._patch(patch, first, gamma0) for patch, first in zip(self.patches, firsts, strict=True)]
-        return {**of_rays, "cell": self.height_m, "places": tuple(gamma0.shape[1:]), "patches": patches}
+        return {**of_rays, "cell": self.ray_m, "places": tuple(gamma0.shape[1:]), "patches": patches}
 
     def _patch(self, patch: _Patches, first_ray: int, gamma0: Tensor) -> dict[str, Any]:
+        """Return members of the engine's structure of patches; x and y are in steps of the table of γ⁰."""
         (first, traced), cells, pitch_m = patch.traced, patch.cells, self.pitch_m
         (low, high), (_, ny, nx) = cells.edges(gamma0.device), gamma0.shape
         return {

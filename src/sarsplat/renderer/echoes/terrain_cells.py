@@ -172,6 +172,7 @@ def _with_margin(grid: ImageGrid, pixels: int) -> ImageGrid:
 
 
 def _cells(terrain: Terrain | float, view: View, grid: ImageGrid, rays: RayGrid) -> Cells:
+    """Return the cells of rays that end in an image, or no farther from it than the response reaches."""
     (dx, dy), look = rays.spacing_m, view.look
     lowest, highest = terrain.span_m if isinstance(terrain, Terrain) else (terrain, terrain)
     azimuth_end, range_end = (RESPONSE_END * math.sqrt(variance) for variance in grid.response_variance_m2)

@@ -133,6 +133,7 @@ def _candidates() -> list[Path]:
 
 @cache
 def _load() -> ctypes.CDLL:
+    """Load the first of the candidates that can be loaded."""
     faults = []
     for path in _candidates():
         try:

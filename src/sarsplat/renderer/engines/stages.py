@@ -166,6 +166,7 @@ class Bounce(_OfGaussians):
         self.height_m, self.factor = height_m, factor
 
     def pose(self, inputs: Tensors) -> Any:
+        """Make the problem, with rays of the mirror image, and harmonics halfway between the two ways."""
         problem, means = super().pose(inputs[: len(ARRAYS)]), inputs[0]
         assert means is not None
         device = means.device
