@@ -45,11 +45,11 @@ class Tally(dict[str, float]):
 
 @contextmanager
 def _set(variable: ContextVar[Any], value: T) -> Iterator[T]:
-    before = variable.set(value)
+    token = variable.set(value)
     try:
         yield value
     finally:
-        variable.reset(before)
+        variable.reset(token)
 
 
 def tally() -> AbstractContextManager[Tally]:
@@ -64,14 +64,14 @@ class Reporter:
         self._total, self._bar, self._description, self._quiet = total, bar, description, quiet
         self._task = bar.add_task(description, total=total, status="", left="") if bar else None
         self._begun = time.monotonic()
-        self._spoken = [self._begun]  # when the last line was printed
+        self._spoken = [self._begun]  # time of the last line, in a list that parts share
         self._first = self._done = 0.0
         self._ended = False
 
     def part(self, description: str, total: int) -> "Reporter":
         """Return a reporter of a part of the work, with its own bar."""
         inner = Reporter(total, self._bar, description, self._quiet)
-        inner._spoken = self._spoken  # shared, so that the interval holds across parts
+        inner._spoken = self._spoken  # so that the interval holds across parts
         return inner
 
     def within(self, before: int, name: str) -> "Reporter":

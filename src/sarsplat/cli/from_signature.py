@@ -115,7 +115,7 @@ def command_of(module: str, function: str, *, reading: str = "", **options: Opti
     home, name = function.split(":")
     stub = _without_body(home, name)
     parameters = signature(stub).parameters
-    more, helps = _about(stub.__annotations__.get("about", ""))
+    more, helps = _about(stub.__annotations__.get("about", ""))  # of `**about: Unpack[NAME]`
     helps |= _helps(getdoc(stub) or "")
     made = {}
     for one in sorted((*parameters.values(), *more), key=lambda one: one.name == "overwrite"):  # which is last
@@ -205,8 +205,8 @@ def _helps(docstring: str) -> dict[str, str]:
     """Return the description of each parameter or attribute in a docstring, without references to Python names."""
     docstring = re.split(r"(?:Parameters|Attributes)\n-{10}\n", docstring)[-1]
     section = re.split(r"\n\n\w[\w ]*\n-{3,}\n", docstring)[0]
-    told = re.findall(r"^(\w+)(?: : .*)?\n((?: .*\n?)+)", section, re.MULTILINE)
-    return {name: re.sub(r" \(see [^)]*\)", "", " ".join(text.split())) for name, text in told}
+    entries = re.findall(r"^(\w+)(?: : .*)?\n((?: .*\n?)+)", section, re.MULTILINE)
+    return {name: re.sub(r" \(see [^)]*\)", "", " ".join(text.split())) for name, text in entries}
 
 
 def _carry_out(
@@ -231,13 +231,13 @@ def _carry_out(
 def assumed_once() -> Iterator[None]:
     """Print assumptions about datasets imported inside the block after it, each with its number of datasets."""
     assumed = Counter[str]()
-    before = _shared.set(assumed)
+    token = _shared.set(assumed)
     try:
         yield
         for assumption, number in assumed.items():
             console.say(f"assumed of {counted(number, 'dataset')}: {assumption}")
     finally:
-        _shared.reset(before)
+        _shared.reset(token)
 
 
 @contextmanager
@@ -287,6 +287,6 @@ def _finish(out: Path, dataset: "Dataset", examined: "Examination") -> int:
             f"sarsplat check {folder} --verbose",
         )
         return CONTRADICTED
-    then = f"sarsplat reconstruct {folder} --out {shlex.quote(f'{out}-run')}"
-    console.finish(f"{out}: {summary(dataset)}, ready", then if assumed is None else None)
+    next_step = f"sarsplat reconstruct {folder} --out {shlex.quote(f'{out}-run')}"
+    console.finish(f"{out}: {summary(dataset)}, ready", next_step if assumed is None else None)
     return 0

@@ -130,7 +130,7 @@ def turned(
 ) -> Float64[np.ndarray, " 3"]:
     """Rotate a vector counter-clockwise about an axis of any length, seen from its tip (O. Rodrigues, 1840)."""
     unit = np.asarray(axis, float)
-    unit = unit / np.abs(unit).max()
+    unit = unit / np.abs(unit).max()  # of any length: no square overflows
     unit = unit / np.linalg.norm(unit)
     cos, sin = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
     return vector * cos + np.cross(unit, vector) * sin + unit * (unit @ vector) * (1 - cos)

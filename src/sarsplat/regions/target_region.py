@@ -116,13 +116,13 @@ def levelled(dataset: Dataset) -> Dataset:
 def _levelled(
     power: Float32[np.ndarray, "rows columns"], view: View, grid: ImageGrid, terrain: Terrain
 ) -> Float32[np.ndarray, "rows columns"]:
+    """Divide by the power of bare terrain, relative to flat ground, then undo the terrain's layover in range."""
     look = view.look
-    bare = RayEnds(torch.empty(0, dtype=torch.float32), [(0, 0)], [(0.0, 0.0)])
+    bare = RayEnds(torch.empty(0, dtype=torch.float32), [(0, 0)], [(0.0, 0.0)])  # no ray meets a Gaussian
     rays, new_pass = RayGrid.for_image(grid), passes_for("auto", {"transmittance": bare.transmittance})
-    free = lit_terrain(
-        bare, [view], grid, rays, terrain, torch.ones(1, 1, 1, dtype=torch.float32), 1.0, None, new_pass
-    )[0].numpy()
-    share = look.gamma0_of_beta0(free)
+    gamma0 = torch.ones(1, 1, 1, dtype=torch.float32)
+    beta0 = lit_terrain(bare, [view], grid, rays, terrain, gamma0, 1.0, None, new_pass)[0].numpy()
+    share = look.gamma0_of_beta0(beta0)
     known = share > _DIMMEST
     flat = np.where(known, power / np.where(known, share, 1.0), np.median(power[known]) if known.any() else 0.0)
     x, r = grid.azimuth_m[None, :], grid.range_m[:, None]

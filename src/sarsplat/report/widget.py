@@ -31,7 +31,7 @@ _BATCH_COST, _BATCH_IMAGES = 1_000_000, 8  # rendered at once, which bounds memo
 _DEEPEST_DB, _SHALLOWEST_DB = 60.0, 10.0  # limits of the displayed dynamic range
 _LEVELS = 120  # of brightness: half a decibel each
 _FINEST_DEG = 5.0  # minimum step of the raster
-_MOST_GRAZING = 5  # grazing angles of the raster
+_MOST_GRAZING, _MIN_AZIMUTHS = 5, 24  # maximum number of grazing angles of the raster; fewer if azimuths lack
 _POINTS = 20_000
 _TRIED = 4  # images used to estimate the bytes per image
 
@@ -165,7 +165,7 @@ def _raster(views: Sequence[View], count: int) -> list[View]:
     lowest, highest = (bound(view.grazing_deg for view in views) for bound in (min, max))
     levels = min(_MOST_GRAZING, 1 + round((highest - lowest) / _FINEST_DEG))
     finest = math.ceil(span / _FINEST_DEG) + (not all_around)
-    while levels > 1 and count // levels < min(finest, 24):
+    while levels > 1 and count // levels < min(finest, _MIN_AZIMUTHS):
         levels -= 1
     steps = max(1, min(finest, count // levels))
     grazing = np.linspace(lowest, highest, levels) if levels > 1 else [(lowest + highest) / 2]

@@ -127,7 +127,7 @@ def own_scene(
         harmonics_every=1,
     )
     configs = [replace(usual, harmonics_degree=degree) for degree in _DEGREES]
-    laws = [law(config, 1, 1.0) for config in configs]
+    laws = [law(config, count=1, gamma0=1.0) for config in configs]
     columns = scattering.parameters.shape[1]
     matches = [candidate.parameters.shape[1] == columns and candidate.settings() == settings for candidate in laws]
     if type(scattering) is not type(laws[0]) or not any(matches):

@@ -175,7 +175,7 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
     def _starts(self) -> list[float]:
         """Start azimuth of each run, in turns."""
         seeds = [seed_of(self.seed, place) for place in range(len(self.runs))]
-        return [float(np.random.default_rng([seed, 2]).random()) for seed in seeds]
+        return [float(np.random.default_rng([seed, 2]).random()) for seed in seeds]  # 0 and 1 are of chips
 
 
 @checks_arguments

@@ -204,12 +204,12 @@ def _columns(chips: Chips) -> tuple[str, ...]:
 def _row(chips: Chips, index: int, path: str, scale: float) -> dict[str, Any]:
     label = chips.label(index)
     view, grid = label.view, chips.runs[label.run].grid
-    angles = (round(view.grazing_deg), view.grazing_deg, round(-view.azimuth_deg % 360, 6))
+    angles = (round(view.grazing_deg), view.grazing_deg, round(-view.azimuth_deg % 360, 6))  # as `import mstar` reads
     lengths = (*grid.spacing_m, *grid.resolution_m)
     written = (chips.encoding.near, scale)
     named = (path, label.target, view.azimuth_deg, view.grazing_deg, label.seed, str(chips.runs[label.run].path))
     every = (*named, chips.serials[label.run], *angles, *lengths, *written, *unusual_values(view))
-    return dict(zip(_columns(chips), every, strict=False))
+    return dict(zip(_columns(chips), every, strict=False))  # usual views have no columns of unusual values
 
 
 def _is_written(path: Path) -> bool:

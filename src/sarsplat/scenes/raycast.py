@@ -159,6 +159,8 @@ class RayCaster:
         deposit, target = Deposit(self._nodes), Deposit(self._nodes)
         region = self._region(facets, view)
         direct = 1.0 if self._second is None else _DIRECT
+        # change of slant range on the ground for each metre of the computation plane
+        ground_slope = 0.0 if ground is None else math.hypot(1 / look.slope, look.range_on_ground(1.0, 0.0))
         hits = sparse_hits(
             facets,
             self._patches,
@@ -167,7 +169,7 @@ class RayCaster:
             self._spacing,
             self._offset,
             self._grid.resolution_m,
-            0.0 if ground is None else math.hypot(1 / look.slope, look.range_on_ground(1.0, 0.0)),
+            ground_slope,
             lambda share: progress(direct * share),
         )
         for hit in hits if not region.empty else ():
@@ -180,12 +182,8 @@ class RayCaster:
                 deposit.add(x, look.range_on_ground(x, y), np.full(x.shape, -ground) * hit.area)
         image = deposit.image + (0.0 if ground is None else look.beta0_of_gamma0(ground))
         if self._second is not None:
-
-            def report(share: float) -> None:
-                progress(direct + (1 - direct) * share)
-
             echoes = {"target": target.image} | ({} if ground is None else {"ground": image - target.image})
-            second = self.second_bounces(view, report)
+            second = self.second_bounces(view, lambda share: progress(direct + (1 - direct) * share))
             self.power_by_echo[view] = {kind: float(one.sum()) for kind, one in (echoes | second).items()}
             image = sum(second.values(), image)
         return np.maximum(image, 0.0).astype(np.float32)  # rounding leaves −1e-9 in full shadow

@@ -33,10 +33,6 @@ class Window:
         return Window(low, (max(self.high[0], other.high[0]), max(self.high[1], other.high[1])))
 
 
-NOWHERE = Window((math.inf, math.inf), (-math.inf, -math.inf))
-"""Empty window, which overlaps nothing."""
-
-
 @dataclass(frozen=True)
 class Boxes:
     """Rectangles around footprints on one plane, one lattice spacing wider on each side."""
@@ -58,7 +54,7 @@ class Boxes:
     @property
     def window(self) -> Window:
         if not self.low.shape[1]:
-            return NOWHERE
+            return Window((math.inf, math.inf), (-math.inf, -math.inf))  # overlaps nothing
         (left, below), (right, above) = self.low.amin(1).tolist(), self.high.amax(1).tolist()
         return Window((left, below), (right, above))
 

@@ -18,7 +18,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import MAX_OPTICAL_DEPTH, Gaussians, Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.constants import MIN_RAY_DEPTH
-from sarsplat.tiles.halo import NOWHERE, Halos, Window
+from sarsplat.tiles.halo import Halos, Window
 
 _GAUSSIAN, _PARAMETER, _RAY, _PIXEL = 430, 4, 20, 24  # bytes of all arrays, each
 _WHOLE_GIB = 2.0  # memory of a batch of views without tiles
@@ -103,18 +103,16 @@ class Plan:
         left, right, far, near = grid.extent_m
         inside = halos.in_image.overlapping(Window((left, near), (right, far)))
         window = halos.on_rays.of(inside).window
-        return window.joined(NOWHERE if self.ground is None else self._rays_to_ground(grid, *self.ground.span_m))
-
-    def _rays_to_ground(self, grid: ImageGrid, lowest_m: float, highest_m: float) -> Window:
-        left, right, far, near = grid.extent_m
+        if self.ground is None:
+            return window
         azimuth, slant_range = (_RESPONSE_END * math.sqrt(variance) for variance in grid.response_variance_m2)
-        x, y = self.view.look.rays_to_ground(
-            (left - azimuth, right + azimuth), (near - slant_range, far + slant_range), (lowest_m, highest_m)
-        )
-        return Window((x[0], y[0]), (x[1], y[1]))
+        across, along = (left - azimuth, right + azimuth), (near - slant_range, far + slant_range)
+        x, y = self.view.look.rays_to_ground(across, along, self.ground.span_m)
+        return window.joined(Window((x[0], y[0]), (x[1], y[1])))
 
 
 def _halved(rows: slice, columns: slice) -> list[tuple[slice, slice]]:
+    """Cut a part of an image across its longer side, into (rows, columns) of both halves."""
     if rows.stop - rows.start >= columns.stop - columns.start:
         middle = (rows.start + rows.stop) // 2
         return [(slice(rows.start, middle), columns), (slice(middle, rows.stop), columns)]
