@@ -38,7 +38,7 @@ class Optimiser:
         }
         self._steps = 0
         self._adam: EngineAdam | PlainAdam | None = None
-        self._source: Int64[Tensor, " n"] | None = None
+        self._source: Int64[Tensor, " n"] | None = None  # of each row since the last `take_moves`
 
     @property
     def rows(self) -> list[str]:
@@ -126,8 +126,7 @@ class Optimiser:
 
     def tensors(self) -> dict[str, Tensor]:
         """Adam's moments as `parameter/moment`, and the number of steps, to be saved."""
-        state = self.state.items()
-        moments = {f"{name}/{moment}": value for name, own in state for moment, value in own.items()}
+        moments = {f"{name}/{key}": value for name, own in self.state.items() for key, value in own.items()}
         return moments | {"step": torch.tensor(float(self._steps), dtype=torch.float32, device="cpu")}
 
     def load(self, tensors: dict[str, Tensor]) -> None:
@@ -194,7 +193,8 @@ class EngineAdam:
         """Make a step, like `PlainAdam`."""
         for group, decay in zip(self._groups, decays, strict=True):
             group.decay = decay
-        (self._call.beta1_power, self._call.beta2_power), self._call.now = powers(count), None
+        self._call.beta1_power, self._call.beta2_power = powers(count)
+        self._call.now = None  # no tensor on the device replaces decays and powers
         self._run(gradients)
 
     def step_on_device(self, gradients: Sequence[Tensor], decays_and_powers: Float[Tensor, " n"]) -> None:

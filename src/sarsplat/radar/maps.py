@@ -83,9 +83,7 @@ def radar_maps(surface: Surface, view: View, grid: ImageGrid, *, rays: RayGrid |
     weighted = lit[:, None] * torch.from_numpy(_columns(surface, view)).to(lit)
     sums = splat(projection.pixels, weighted[None], sharp)[0].double().numpy()
     area = sums[_AREA]
-    open_area = (
-        view.yardstick * view.open_beta0
-    )  # of flat ground, as `area`: m² across the line of sight per m² of image
+    open_area = view.yardstick * view.open_beta0  # as `area`, of flat ground: across the line of sight, per image area
     shown = (area >= _SHARE * open_area) | (sums[_COVER] >= _SHARE)
     means = np.divide(sums, area, out=np.full_like(sums, np.nan), where=shown)
     spread = 2 * np.sqrt(_unexplained(means, grid))  # two equally large scatterers are two standard deviations apart

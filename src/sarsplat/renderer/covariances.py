@@ -241,7 +241,7 @@ def _sections(
     lit = amplitudes * lit_area[..., None]
     kinds = tuple(own.index(place) for place in places)
     if len(own) == 1:
-        alone = lit[..., [1 + own[0]]]
+        alone = lit[..., [1 + own[0]]]  # the law's first channel is power
         return power, alone, alone, None, kinds
     matrices = covariances_between(lit, len(law.polarisations))
     pairs = matrices[..., [places[i] for i, _ in plan.pairs], [places[j] for _, j in plan.pairs]]

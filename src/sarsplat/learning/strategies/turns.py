@@ -112,6 +112,7 @@ class Pass:
         free, scale = np.flatnonzero(std), np.where(std > 0, std, 1.0)
         start = correction / scale
         angles = [math.radians(abs(entry.turn.angle_deg)) for entry in self.entries if entry.turn is not None]
+        # change of each unknown that moves the target's edge by a resolution cell, in the last frame
         cell = cell_rad * np.array([math.degrees(1), math.degrees(1), 1 / max(1.0, *angles)])
         moves = np.diag(np.minimum(_DIFFERENCE * cell / scale, 1.0))[free]
         residual, *moved = self._residuals([start, *(start + sign * move for move in moves for sign in (1, -1))], scale)
@@ -119,7 +120,7 @@ class Pass:
         for axis, ahead, behind in zip(free, moved[::2], moved[1::2], strict=True):
             slopes[axis] = (ahead - behind) / (2 * moves.sum(0)[axis])
         weights = self.samples / _squares(residual)
-        normal = np.einsum("ikp,jkp,k->ij", slopes, slopes, weights) + np.eye(3)
+        normal = np.einsum("ikp,jkp,k->ij", slopes, slopes, weights) + np.eye(3)  # the prior's
         step = -np.linalg.solve(normal, np.einsum("ikp,kp,k->i", slopes, residual, weights) + start)
         best, lowest = start, self._cost(residual, start)
         for fraction in _FRACTIONS:
@@ -129,8 +130,7 @@ class Pass:
                 best, lowest = tried, cost
             elif best is not start:
                 break
-        found: Float64[np.ndarray, " 3"] = (start + _OVERSHOOT * (best - start)).clip(-_REACH, _REACH) * scale
-        return found
+        return (start + _OVERSHOOT * (best - start)).clip(-_REACH, _REACH) * scale
 
     def _cost(self, residual: Float64[np.ndarray, "frames pixels"], deviations: Float64[np.ndarray, " 3"]) -> float:
         """Twice the negative log probability of residuals and deviations, up to a constant."""

@@ -109,9 +109,9 @@ class LitGround(Operation):
 def ray_numbers(
     grid: ImageGrid, views: int, sizes: Sequence[int], rays: int, chosen: Int64[Tensor, " v"] | None
 ) -> tuple[dict[str, Any], Sequence[int]]:
-    """Return members that ground and terrain share, and the first of the rays of every view.
+    """Return the engine's numbers that ground and terrain share, and the first of the rays of every view.
 
-    `sizes` are numbers of rays of each view, or of each candidate; `rays` that of all.
+    `sizes` are numbers of rays of each view, or candidate; `rays` that of all, of `ChosenViews` a `pitch` for each.
     """
     (down, across), in_order = pixel_axes(grid), chosen is None
     shared = {"views": views, "rows": down.numbers, "columns": across.numbers, "std": stds(grid), "chosen": chosen}

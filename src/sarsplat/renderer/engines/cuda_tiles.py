@@ -128,7 +128,7 @@ class TileLists(Arrays):
     def _list(
         self, name: str, plane: ctypes.Structure, slots: int, problem: ctypes.Structure, *, by_depth: bool, ranked: bool
     ) -> None:
-        """List the Gaussians of every tile."""
+        """List the Gaussians of every tile in `slots`; ordered by counting predecessors if `ranked`, else sorted."""
         self._chunks[name] = slots // _CHUNK + plane.tiles
         keys = self.new(f"{name} keys", slots, dtype=torch.int64)
         if not ranked:
