@@ -73,7 +73,7 @@ class _Accumulated(torch.autograd.Function):
                 found = torch.autograd.grad(share, parameters, allow_unused=True)
             ctx.gradients = list(starmap(_sum, zip(ctx.gradients, found, strict=True)))
             shares.append(share.detach())
-            renderings.append(detached(rendering))
+            renderings.append(replace(detached(rendering), echoes=(), ground=None))
             del loss, share, rendering, found  # frees the graph
         return torch.stack(shares).sum()
 
