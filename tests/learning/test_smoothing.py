@@ -1,5 +1,6 @@
 """Neighbours are drawn into common planes: what is rough becomes flat, what is bent or unseen stays."""
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -12,7 +13,9 @@ from torch.nn.functional import normalize
 
 from sarsplat import Dataset, preset
 from sarsplat.gaussians.gaussians import rotated
+from sarsplat.gaussians.initialise import Region
 from sarsplat.learning import Trainer, scene_frame
+from sarsplat.learning.strategies.collective import Lattice
 from sarsplat.learning.strategies.smoothing import towards_planes, turned
 from sarsplat.settings.sections import Smoothing
 
@@ -30,11 +33,17 @@ def upright(means: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
     return np.tile(UP, (len(means), 1))
 
 
+def planes(means, normals, lit, cell_m: float, radius_m: float, values=None):
+    """`towards_planes` with values of 0 unless given."""
+    values = np.zeros((len(means), 1)) if values is None else values
+    return towards_planes(means, normals, lit, values, cell_m, radius_m)
+
+
 def test_a_bump_in_a_plane_is_drawn_back() -> None:
     means = sheet(0.01)
     bump = (np.abs(means[:, :2] - 4.5) < 0.5).all(axis=1)
     means[bump, 2] += 0.3
-    moved = means + towards_planes(means, upright(means), np.ones(len(means)), 1.0, 3.0)[0]
+    moved = means + planes(means, upright(means), np.ones(len(means)), 1.0, 3.0)[0]
     assert abs(moved[bump, 2].mean() - 2.5) < 0.1
     assert abs(moved[~bump, 2].mean() - 2.5) < 0.02
 
@@ -44,20 +53,20 @@ def test_layers_of_a_cube_move_as_one_and_what_is_not_lit_stays() -> None:
     lit = (means[:, 2] > 2.5).astype(float)
     below = means - (0, 0, 2)  # cubes of their own, where nothing is lit
     all_of_them = np.concatenate([means, below])
-    found = towards_planes(all_of_them, upright(all_of_them), np.concatenate([lit, 0 * lit]), 1.0, 3.0)
+    found = planes(all_of_them, upright(all_of_them), np.concatenate([lit, 0 * lit]), 1.0, 3.0)
     assert not any(each[len(means) :].any() for each in found)
-    moves, normals, _ = found
+    moves, normals, *_ = found
     assert np.abs(normals[: len(means), 2]).min() > 0.9
     cubes = np.floor(means).astype(int) @ (100, 10, 1)
     assert all(len(np.unique(moves[: len(means)][cubes == cube], axis=0)) == 1 for cube in np.unique(cubes))
-    assert not any(each.any() for each in towards_planes(means, upright(means), 0 * lit, 1.0, 3.0))
+    assert not any(each.any() for each in planes(means, upright(means), 0 * lit, 1.0, 3.0))
 
 
 def test_a_wall_does_not_bend_the_roof() -> None:
     roof = sheet(0.01)
     wall = roof[:, [2, 1, 0]] * (0, 1, 0.3) + (7.99, 0, 0)
     means, normals = np.concatenate([roof, wall]), np.concatenate([upright(roof), upright(wall)[:, [2, 1, 0]]])
-    moves, *_ = towards_planes(means, normals, np.ones(len(means)), 1.0, 3.0)
+    moves, *_ = planes(means, normals, np.ones(len(means)), 1.0, 3.0)
     assert np.abs(moves[: len(roof), 2]).max() < 0.05
 
 
@@ -65,14 +74,14 @@ def test_a_cell_without_neighbours_is_not_wide_by_what_numbers_are_rounded() -> 
     chance = np.random.default_rng(0)
     means = np.arange(2000)[:, None] * np.array([5.0, 0, 0]) + chance.uniform(100, 100.3, (2000, 3))
     lit = chance.uniform(0.5e-3, 1.5e-3, len(means))
-    assert not towards_planes(means, upright(means), lit, 0.3, 0.9)[2].any()
+    assert not planes(means, upright(means), lit, 0.3, 0.9)[2].any()
 
 
 def test_what_goes_on_to_all_sides_is_wide_and_a_rail_is_not() -> None:
     means = sheet(0.01)
     rail = means * (1, 0.05, 1) + (0, 20, 0)
     both = np.concatenate([means, rail])
-    wide = towards_planes(both, upright(both), np.ones(len(both)), 1.0, 3.0)[2]
+    wide = planes(both, upright(both), np.ones(len(both)), 1.0, 3.0)[2]
     inside = (np.abs(means[:, :2] - 4) < 1).all(axis=1)
     assert wide[: len(means)][inside].min() > 0.6
     assert wide[len(means) :].max() < 0.05
@@ -98,7 +107,7 @@ def test_axes_turn_towards_a_normal_on_either_side_and_stay_where_there_is_none(
 
 def test_rounds_move_what_is_lit_and_make_it_thinner(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     config = replace(preset("default"), iterations=40, gaussians=400, smoothing=Smoothing(rounds=0))
-    smoothed = replace(config, smoothing=Smoothing(rounds=4, thinner=0.1))
+    smoothed = replace(config, smoothing=Smoothing(rounds=4, thinner=0.1, collective=0.0))
     small, without = Trainer(dataset, smoothed), Trainer(dataset, config)
     assert small.model.levels.coarsest == 1
     for _ in range(10):
@@ -124,10 +133,46 @@ def test_batches_of_planes_change_nothing(
     means = np.column_stack([chance.uniform(-6, 6, (2000, 2)), chance.normal(0, 0.15, 2000)])
     normals = UP + chance.normal(0, 0.3, (2000, 3))
     given = means, normals / np.linalg.norm(normals, axis=1, keepdims=True), chance.random(2000), 0.3, 0.9
-    expected = towards_planes(*given)
+    expected = planes(*given)
     monkeypatch.setattr("sarsplat.learning.strategies.smoothing._BATCH", 37)
     threads(count)
-    found = towards_planes(*given)
+    found = planes(*given)
     assert np.ptp(expected[2]) > 0  # narrow and wide ones
     for one, other in zip(expected, found, strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def test_values_are_means_over_the_neighbours_of_a_plane() -> None:
+    means = sheet(0.01)
+    odd = (np.abs(means[:, :2] - 4.5) < 0.5).all(axis=1)
+    values = np.stack([np.where(odd, 2.0, 1.0), np.full(len(means), 3.0)], axis=1)
+    usual = planes(means, upright(means), np.ones(len(means)), 1.0, 3.0, values)[3]
+    assert 1.0 < usual[odd, 0].max() < 1.3
+    np.testing.assert_allclose(usual[:, 1], 3.0)
+
+
+def test_a_lattice_carries_places_linearly_and_its_sums_are_the_transpose() -> None:
+    chance, region = np.random.default_rng(0), Region.box((-5, -4, 0), (5, 6, 3))
+    places = torch.from_numpy(chance.uniform(region.low, region.high, (500, 3)))
+    lattice = Lattice.around(region, 1.2, places)
+    shape = [math.ceil(length / 1.2) + 2 for length in (10, 10, 3)]
+    nodes = torch.cartesian_prod(*(torch.arange(n).double() for n in shape)) * 1.2 + torch.from_numpy(region.low)
+    assert len(nodes) == lattice.count
+    torch.testing.assert_close(lattice.interpolated(nodes), places)
+    at_places, at_nodes = torch.randn(500, 2).double(), torch.randn(lattice.count, 2).double()
+    torch.testing.assert_close(
+        (lattice.sums(at_places) * at_nodes).sum(), (at_places * lattice.interpolated(at_nodes)).sum()
+    )
+
+
+def test_neighbours_move_alike_in_collective_moves(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scene_frame, "_MIN_ACROSS", 2)
+    config = replace(preset("default"), iterations=40, gaussians=400, coarsest=2)
+    alone, together = (
+        Trainer(dataset, replace(config, smoothing=Smoothing(rounds=1, collective=rate))) for rate in (0.0, 0.02)
+    )
+    for _ in range(32):
+        assert alone.step() == together.step()  # the first move is after these steps
+    moves = together.gaussians.means - alone.gaussians.means
+    nearest = torch.cdist(alone.gaussians.means, alone.gaussians.means).topk(2, largest=False).indices[:, 1]
+    assert 0.0 < (moves - moves[nearest]).norm(dim=1).median() < 0.5 * moves.norm(dim=1).median()

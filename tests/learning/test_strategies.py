@@ -82,7 +82,7 @@ def test_it_goes_on_as_if_it_had_never_stopped(dataset: Dataset, tmp_path: Path,
 
 def test_a_training_goes_on_only_with_the_strategies_it_was_begun_with(dataset: Dataset) -> None:
     snapshot = restless(dataset, 1)
-    with pytest.raises(SarsplatError, match="begun with the strategies Restless, density, growth, relocation"):
+    with pytest.raises(SarsplatError, match="begun with the strategies Restless, collective, density, growth"):
         Trainer(dataset, CONFIG).restore(snapshot)
     damaged = replace(snapshot, tensors=snapshot.tensors | {"strategy/Restless/dim": torch.zeros(3)})
     with pytest.raises(ValueError, match="dim is torch"):

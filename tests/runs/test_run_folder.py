@@ -262,7 +262,7 @@ def refused(begun: Path, given: Dataset, config: Config, message: str) -> None:
 def test_one_of_before_there_was_smoothing(given: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its settings do not say that it has none, and it goes on without; nor does it say how often it has grown."""
     monkeypatch.setattr(scene_frame, "_MIN_ACROSS", 2)
-    unsmoothed = replace(CONFIG, coarsest=2, smoothing=Smoothing(rounds=0))
+    unsmoothed = replace(CONFIG, coarsest=2, smoothing=Smoothing(rounds=0, alike=0.0, collective=0.0))
     whole = reconstruct(given, unsmoothed, tmp_path / "run")
     tensors, _ = load_checkpoint(whole.store.checkpoint_path)
     assert "strategy/relocation" in tensors and "strategy/smoothing" not in tensors

@@ -25,6 +25,7 @@ from sarsplat.settings.sections import Surroundings
 _SHARE = 0.1  # length of the trial, relative to the training
 _PIXELS = 256  # side of the images of the trial at most: larger ones are multilooked
 _SMOOTHED_DROPOUT = 0.4  # dropout where there are coarser levels, at which smoothed surfaces average speckle already
+_SMOOTHED_PENALTY = 0.3  # penalty there for scattering that differs, for the same reason
 _FEWEST = 4  # minimum number of images, and of gains: fewer do not separate gains from the ground's power law in sin θ
 _GROUND_DB = 1.5  # maximum distance of ground pixels from the rendering's median, dB
 _TARGET_DB = 6.0  # minimum level of target pixels above that median, dB
@@ -62,7 +63,7 @@ def chosen(dataset: Dataset) -> Config:
     found = differences(train, trainer)
     multilevel = Levels.of(scene, replace(trainer.model.frame, grid=dataset.grid)).coarsest > 1
     if multilevel:
-        scene = replace(scene, dropout=_SMOOTHED_DROPOUT)
+        scene = replace(scene, dropout=_SMOOTHED_DROPOUT, scattering_penalty=_SMOOTHED_PENALTY)
     summary = (
         f"gains of images differ by {found.gain_std_db:.2g} dB, {found.displaced} of {counted(found.images, 'image')} "
         "displaced"

@@ -96,6 +96,10 @@ class Levels:
         begin = self._begins[-1]
         return iteration >= begin + share * (self.iterations - begin)
 
+    def left(self, step: int) -> float:
+        """Share of the iterations at full resolution that are left after this number of steps, at most 1."""
+        return min(1.0, (self.iterations - step) / (self.iterations - self._begins[-1]))
+
     def factor(self, iteration: int) -> int:
         """Level of an iteration, counted from 0."""
         return self.coarsest >> sum(begin <= iteration for begin in self._begins[1:])

@@ -61,13 +61,15 @@ class AnyConfig(Record):
     may_change: ClassVar[tuple[str, ...]] = ("iterations", "checkpoint_every")
     """Settings (with a dot: sections) that may change when a run is resumed: training does not depend on them."""
 
-    before: ClassVar[Mapping[str, Any]] = {}
-    """Values of settings missing in older files, if they differ from the defaults."""
+    before: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
+    """Values of sections' settings missing in older files, if they differ from the defaults."""
 
     @classmethod
     def of_run(cls, settings: Mapping[str, Any], source: str) -> Self:
         """Read the settings of a run's file, maybe of an earlier version; errors as `from_dict`."""
-        return cls.from_dict({**cls.before, **settings}, source)
+        sections = ((name, values, settings.get(name, {})) for name, values in cls.before.items())
+        older = {name: {**values, **given} for name, values, given in sections if isinstance(given, Mapping)}
+        return cls.from_dict({**settings, **older}, source)
 
 
 @dataclass(frozen=True)
@@ -193,7 +195,7 @@ class Config(AnyConfig):
     """
 
     may_change: ClassVar[tuple[str, ...]] = (*AnyConfig.may_change, PointExtraction._section)
-    before: ClassVar[Mapping[str, Any]] = {"smoothing": {"rounds": 0}}
+    before: ClassVar[Mapping[str, Mapping[str, Any]]] = {"smoothing": {"rounds": 0, "alike": 0.0, "collective": 0.0}}
 
     preset: str = "default"
     iterations: Count = 900

@@ -134,6 +134,12 @@ class Smoothing(Record):
         Maximum distance of neighbours, in resolution cells.
     thinner : float
         Share by which a round reduces the shortest standard deviation of the moved Gaussians.
+    alike : float
+        Share of the difference between a Gaussian's scattering and its neighbours' that a round removes, in images
+        coarser than those given.
+    collective : float
+        Initial rate of collective moves of neighbours at full resolution, resolution cells per step, on each of two
+        lattices; it falls to zero. 0: none.
     """
 
     _section: ClassVar[str] = "smoothing."
@@ -142,6 +148,8 @@ class Smoothing(Record):
     share: Share = 0.7
     radius: Positive = 3.0
     thinner: Annotated[float, Meta(ge=0, le=0.9)] = 0.04
+    alike: Share = 1.0
+    collective: NotNegative = 0.04
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,8 @@
-"""Smoothing: visible Gaussians are moved towards the plane of their neighbours.
+"""Smoothing: visible Gaussians are moved towards the plane of their neighbours, and scatter like them.
 
 Inside a uniform surface gradients are noise, and Adam, whose steps do not depend on their size, lets Gaussians drift
 along the normal. Smoothing undoes this; at edges, where images determine positions, the next steps restore them.
+Where neighbours scatter alike, differences of brightness are slopes; otherwise a vault may rise to any height.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -64,11 +65,14 @@ class Smoothed(Configured):
         shortest = scales.argmin(1, keepdim=True)
         axes = rotated(quaternions, torch.zeros_like(scales).scatter_(1, shortest, 1.0))
         lit = info.rendering.lit_area.sum(0)
-        where, facing, area = (tensor.double().cpu().numpy() for tensor in (means, axes, lit))
-        planes = towards_planes(where, facing, area, cell_m, self._config.radius * cell_m)
-        moves, normals, wide = (torch.from_numpy(values).to(means) for values in planes)
+        scattering = params["scattering"].detach()
+        where, facing, area, values = (tensor.double().cpu().numpy() for tensor in (means, axes, lit, scattering))
+        planes = towards_planes(where, facing, area, values, cell_m, self._config.radius * cell_m)
+        moves, normals, wide, usual = (torch.from_numpy(values).to(means) for values in planes)
         share = self._config.share * wide[:, None]
         means += share * moves
+        if cell_m > info.model.frame.cell_m:  # materials that differ show in the finest images
+            scattering += self._config.alike * wide[:, None] * (usual - scattering)
         quaternions.copy_(turned(quaternions, axes, normals, share))
         thinner = 1 - self._config.thinner * wide[:, None]
         scales.scatter_(1, shortest, scales.gather(1, shortest) * thinner)
@@ -95,10 +99,13 @@ def towards_planes(
     means: Float64[np.ndarray, "n 3"],
     normals: Float64[np.ndarray, "n 3"],
     lit: Float64[np.ndarray, " n"],
+    values: Float64[np.ndarray, "n k"],
     cell_m: float,
     radius_m: float,
-) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"], Float64[np.ndarray, " n"]]:
-    """Vector from each Gaussian to the plane of its neighbours (m), the plane's normal, and its width.
+) -> tuple[
+    Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"], Float64[np.ndarray, " n"], Float64[np.ndarray, "n k"]
+]:
+    """Vector from each Gaussian to the plane of its neighbours (m), the plane's normal, its width, and mean values.
 
     The width is from 0, for a mast or a rail, to 1, inside a surface; all are 0 for Gaussians that are not lit.
 
@@ -111,13 +118,15 @@ def towards_planes(
     area = np.bincount(owner, lit)
     (lit_cubes,) = np.nonzero(area > _MIN_LIT_SHARE * area.mean())
     if not len(lit_cubes):
-        return np.zeros_like(means), np.zeros_like(means), np.zeros_like(lit)
+        return np.zeros_like(means), np.zeros_like(means), np.zeros_like(lit), np.zeros_like(values)
     mean = _sums(owner, lit[:, None] * means)[lit_cubes] / area[lit_cubes, None]
     squares = np.stack([lit * normals[:, i] * normals[:, j] for i in range(3) for j in range(i, 3)], axis=1)
     axis = np.linalg.eigh(_symmetric(_sums(owner, squares)[lit_cubes]))[1][:, :, 2]  # mean normal of each cube
     tree, lit_area = cKDTree(mean), area[lit_cubes]
     x, y, z = mean.T
     moments = np.column_stack([np.ones(len(mean)), x, y, z, x * x, x * y, x * z, y * y, y * z, z * z])
+    moments = np.hstack([moments, _sums(owner, lit[:, None] * values)[lit_cubes] / lit_area[:, None]])
+    usual = np.zeros((len(area), values.shape[1]))
     plane, height, spreads = axis.copy(), np.zeros(len(mean)), np.zeros((len(mean), 3))
 
     def fit(first: int) -> None:
@@ -134,10 +143,11 @@ def towards_planes(
             weights.data = nearness * (1 - (offset / cell_m) ** 2).clip(min=0) ** 2  # Tukey's
             sums = weights @ moments
             centre = sums[:, 1:4] / sums[:, :1]
-            spread = _symmetric(sums[:, 4:] / sums[:, :1]) - centre[:, :, None] * centre[:, None, :]
+            spread = _symmetric(sums[:, 4:10] / sums[:, :1]) - centre[:, :, None] * centre[:, None, :]
             spreads[batch], axes = np.linalg.eigh(spread)
             plane[batch] = axes[:, :, 0]
             height[batch] = ((centre - places) * plane[batch]).sum(1)
+        usual[lit_cubes[batch]] = sums[:, 10:] / sums[:, :1]
 
     with ThreadPoolExecutor(torch.get_num_threads()) as threads:
         for _ in threads.map(fit, range(0, len(mean), _BATCH)):
@@ -145,7 +155,7 @@ def towards_planes(
     moves, normals, wide = np.zeros((len(area), 3)), np.zeros((len(area), 3)), np.zeros(len(area))
     moves[lit_cubes], normals[lit_cubes] = height[:, None] * plane, plane
     wide[lit_cubes] = np.interp(spreads[:, 1] / spreads[:, 2].clip(min=_MIN_WIDTH * cell_m**2), _WIDE, (0, 1))
-    return moves[owner], normals[owner], wide[owner]
+    return moves[owner], normals[owner], wide[owner], usual[owner]
 
 
 def _neighbours(places: Float64[np.ndarray, "k 3"], tree: cKDTree, radius_m: float) -> csr_matrix:

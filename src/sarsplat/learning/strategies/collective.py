@@ -1,0 +1,102 @@
+"""Collective moves: neighbours move together along the sum of their gradients.
+
+A bulge of a uniform surface changes each Gaussian's gradient by less than its noise, so that steps of single Gaussians
+do not remove it. In the sum over a neighbourhood it stands out.
+"""
+
+import itertools
+import math
+from dataclasses import dataclass
+from typing import Self
+
+import torch
+from jaxtyping import Float, Int64
+from torch import Tensor
+
+from sarsplat.data import Dataset
+from sarsplat.gaussians.initialise import Region
+from sarsplat.learning.optimiser import BETA1, BETA2, EPSILON, Optimiser
+from sarsplat.learning.strategies.strategy import Configured, Info, State
+from sarsplat.settings.config import Config
+
+_PITCHES = (4, 8)  # spacings of the nodes of the lattices, in resolution cells
+_EVERY = 4  # steps between two moves, each as long as those steps together
+
+
+class CollectiveMoves(Configured):
+    """Adam's steps on the nodes of two lattices, at full resolution; Gaussians follow by trilinear interpolation.
+
+    Coarser images do not resolve what a node moves, such as a house. Steps shrink to zero, so that edges, which are
+    carried along, return to their places.
+    """
+
+    order = 8
+    name = "collective"
+
+    def __init__(self, rate: float) -> None:
+        self._rate = rate
+
+    @classmethod
+    def of(cls, config: Config, train: Dataset) -> Self | None:
+        smoothing = config.smoothing
+        wanted = smoothing.rounds > 0 and smoothing.collective > 0 and config.coarsest > 1
+        return cls(smoothing.collective) if wanted else None
+
+    def initial_state(self, params: dict[str, Tensor]) -> State:
+        return State(whole={str(pitch): torch.zeros(0, dtype=torch.float32) for pitch in _PITCHES})
+
+    @torch.no_grad()
+    def step_post_backward(
+        self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
+    ) -> None:
+        levels, frame = info.model.levels, info.model.frame
+        if levels.coarsest == 1 or step % _EVERY or levels.factor(step - 1) > 1:  # vehicles have no large surfaces
+            return
+        means, moves = params["means"].detach(), torch.zeros_like(params["means"])
+        unbiased, beta1, beta2 = math.sqrt(1 - BETA2**step) / (1 - BETA1**step), BETA1**_EVERY, BETA2**_EVERY
+        for pitch in _PITCHES:
+            lattice = Lattice.around(frame.region, pitch * frame.cell_m, means)
+            if len(state.whole[str(pitch)]) != lattice.count:
+                state.whole[str(pitch)] = means.new_zeros(lattice.count, 4)
+            before, square = state.whole[str(pitch)].split((3, 1), dim=1)
+            mean = lattice.sums(optimizers.state["means"]["exp_avg"])
+            gradient = (mean - beta1 * before) / (1 - beta1)  # mean of the gradients since, which the momentum contains
+            before.copy_(mean)
+            square.mul_(beta2).add_((gradient**2).sum(1, keepdim=True), alpha=1 - beta2)
+            moves -= lattice.interpolated(unbiased * mean / (square.sqrt() + EPSILON))
+        means += _EVERY * self._rate * levels.left(step) * frame.cell_m * moves
+        optimizers.constrain()
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """Nodes of a lattice around a region, and the eight of them around each Gaussian with trilinear weights."""
+
+    count: int
+    """Number of nodes."""
+    nodes: Int64[Tensor, "8 n"]
+    weights: Float[Tensor, "8 n 1"]
+
+    @classmethod
+    def around(cls, region: Region, pitch_m: float, places: Float[Tensor, "n 3"]) -> "Lattice":
+        shape = [math.ceil(length) + 2 for length in (region.high - region.low) / pitch_m]
+        steps = ((places - places.new_tensor(region.low)) / pitch_m).clamp(min=0)
+        lower = torch.minimum(steps.floor(), steps.new_tensor(shape) - 2)
+        share, (x, y, z) = (steps - lower).clamp(max=1), lower.long().unbind(1)
+        nodes, weights = [], []
+        for dx, dy, dz in itertools.product((0, 1), repeat=3):
+            nodes.append(((x + dx) * shape[1] + y + dy) * shape[2] + z + dz)
+            upper = torch.tensor([dx, dy, dz], dtype=torch.bool, device=places.device)
+            weights.append(torch.where(upper, share, 1 - share).prod(1, keepdim=True))
+        return cls(math.prod(shape), torch.stack(nodes), torch.stack(weights))
+
+    def sums(self, values: Float[Tensor, "n k"]) -> Float[Tensor, "count k"]:
+        """Sum the Gaussians' values at the nodes, with their weights."""
+        total = values.new_zeros(self.count, values.shape[1])
+        for nodes, weights in zip(self.nodes, self.weights, strict=True):
+            total.index_add_(0, nodes, weights * values)
+        return total
+
+    def interpolated(self, values: Float[Tensor, "count k"]) -> Float[Tensor, "n k"]:
+        """Interpolate values of the nodes at the Gaussians."""
+        return sum(weights * values[nodes] for nodes, weights in zip(self.nodes, self.weights, strict=True))
