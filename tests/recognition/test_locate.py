@@ -104,6 +104,21 @@ def test_a_target_that_looks_the_same_from_behind_may_be_reversed(located: Locat
     assert located.scores()["azimuth within one standard deviation"] > 0.4
 
 
+def test_sizes_of_images_change_neither_shift_nor_window_of_others(
+    runs: dict[str, Run], images: list[Dataset], located: Located
+) -> None:
+    """Also where the origin is in a pixel's centre instead of between pixels, and where less is shown."""
+    entries = speckled(runs["long"], [40.0, 160.0], 0).entries
+    for rows, columns in ((44, 40), (45, 40), (45, 41), (38, 35)):
+        grid = replace(GRID, rows=rows, columns=columns)
+        power = np.roll(runs["long"].render([entry.view for entry in entries], grid), (1, 2), (1, 2))
+        sized = Dataset(grid, entries, power, target="long")
+        found = locate([*runs.values()], [images[0], sized], **QUICK)
+        np.testing.assert_allclose(found.shift_m[8:, 1], [(0.6, 0.3)] * 2)
+        assert np.abs(found.azimuth_errors_deg[8:]).max() < 1
+        np.testing.assert_array_equal(found.nats[:8], located.nats[:8])
+
+
 def numbers(located: Located) -> list[dict[str, str]]:
     return sorted(located.rows(), key=lambda row: (row["labelled_class"], row["image"]))
 
@@ -177,6 +192,17 @@ def test_pictures_need_a_grazing_angle_alone(runs: dict[str, Run], images: list[
     assert found.scores() == {}
     with pytest.raises(SarsplatError, match="have no grazing angle; give it as `grazing_deg`"):
         locate(every, tmp_path)
+    (tmp_path / "chip.png").unlink()
+    np.save(tmp_path / "chip.npy", 20 * np.log10(np.maximum(level[::-1, ::-1], 1e-3)))
+    with pytest.raises(SarsplatError, match="unknown meaning; say by `quantity`"):
+        locate(every, tmp_path, grazing_deg=20.0, near="bottom", **QUICK)
+    decibels = locate(every, tmp_path, grazing_deg=20.0, near="bottom", quantity="db", **QUICK)
+    np.testing.assert_allclose(decibels.nats, found.nats, atol=0.02)
+    coarser = Run.from_gaussians(
+        runs["pair"].gaussians, replace(GRID, spacing_m=(0.4, 0.4)), runs["pair"].dataset.views
+    )
+    with pytest.raises(SarsplatError, match="pictures have the runs' pixels, but these differ"):
+        locate([*every, coarser], tmp_path, grazing_deg=20.0)
 
 
 def test_images_without_azimuth_are_located_too(runs: dict[str, Run], images: list[Dataset], tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import tyro
 from sarsplat.cli import console
 from sarsplat.cli.arguments import Metres, OptionalName, OptionalNumber, refuse_existing, require_ending
 from sarsplat.errors import counted
-from sarsplat.names import Side
+from sarsplat.names import Quantity, Side
 
 
 def locate(
@@ -26,6 +26,7 @@ def locate(
     window: Metres = None,
     ground: Literal["learned", "flat"] = "learned",
     near: Side = "top",
+    quantity: Quantity | None = None,
     overwrite: bool = False,
 ) -> None:
     """Find class and azimuth of images: each is compared with every run, rendered from all azimuths.
@@ -49,11 +50,13 @@ def locate(
         Step between azimuths, degrees; it divides 360.
     window
         Side of the square around the origin in which images are compared (default: a rectangle that holds targets and
-        shadows of all runs).
+        shadows of all runs), as far as they show it.
     ground
         Ground of the renderings: learned knows the field where the training images were recorded, flat does not.
     near
         Side of pictures that is near the radar; MSTAR's is the bottom.
+    quantity
+        Quantity of the numbers in pictures (default: as in import folder).
     overwrite
         Replace existing files.
     """
@@ -77,6 +80,7 @@ def locate(
         window_m=window,
         ground=ground,
         near=near,
+        quantity=quantity,
         quiet=False,
     )
     located.write_csv(out)

@@ -18,7 +18,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.geometry.view import seen_alike
 from sarsplat.importers.pictures import PICTURE_ENDINGS, read_values
-from sarsplat.names import Side
+from sarsplat.names import Quantity, Side
 from sarsplat.runs import Run
 from sarsplat.samples.chip_set import folder_name
 from sarsplat.samples.measured import datasets_in
@@ -43,12 +43,17 @@ class Chip:
 
 
 def chips_of(
-    images: Iterable[Dataset | str | Path], split: str | None, grazing_deg: float | None, near: Side, like: Run
+    images: Iterable[Dataset | str | Path],
+    split: str | None,
+    grazing_deg: float | None,
+    near: Side,
+    quantity: Quantity | None,
+    runs: Sequence[Run],
 ) -> list[Chip]:
     """Read the images of datasets, of folders of datasets, or of folders of pictures.
 
     Without `split`, training images are left out of datasets that have others. Grazing angles are whole degrees unless
-    given, so that images share renderings. Pictures have the pixels of the run `like`, its side and its tilt.
+    given, so that images share renderings. Pictures have the runs' pixels, and side and tilt of the first.
     """
     found: list[Chip] = []
     for one in images:
@@ -58,7 +63,7 @@ def chips_of(
             for path in datasets_in([Path(one)]):
                 found += _of_dataset(read_dataset(path), split, grazing_deg)
         else:
-            found += _of_pictures(Path(one), grazing_deg, near, like)
+            found += _of_pictures(Path(one), grazing_deg, near, quantity, runs)
     if not found:
         raise SarsplatError(f"there are no images of the set {split or 'test'} to locate; give others, or another set")
     return found
@@ -84,19 +89,23 @@ def _without_azimuth(view: View, grazing_deg: float | None) -> View:
     return replace(view, azimuth_deg=0.0, grazing_deg=grazing, tilt_deg=float(round(view.tilt_deg)))
 
 
-def _of_pictures(folder: Path, grazing_deg: float | None, near: Side, like: Run) -> Iterator[Chip]:
-    """Yield the pictures in a folder: amplitudes if they are whole numbers, or complex."""
+def _of_pictures(
+    folder: Path, grazing_deg: float | None, near: Side, quantity: Quantity | None, runs: Sequence[Run]
+) -> Iterator[Chip]:
+    """Yield the pictures in a folder."""
     paths = sorted(path for path in folder.glob("*") if path.suffix.lower() in PICTURE_ENDINGS)
     if not paths:
         raise SarsplatError(f"{folder} contains neither datasets nor pictures; give a folder that does")
     if grazing_deg is None:
         raise SarsplatError(f"the pictures in {folder} have no grazing angle; give it as `grazing_deg`")
-    view = seen_alike(like.snapshot.views, 0.0, grazing_deg)
+    if len({(run.grid.spacing_m, run.grid.resolution_m) for run in runs}) > 1:
+        raise SarsplatError(f"pictures have the runs' pixels, but these differ; import {folder} as a dataset")
+    view = seen_alike(runs[0].snapshot.views, 0.0, grazing_deg)
     for path in paths:
-        values = read_values(path, None, 1.0, 0.0)
+        values = read_values(path, quantity, 1.0, 0.0)
         power = power_of(values.image) if np.iscomplexobj(values.image) else values.image
         power = oriented(power * np.float32(values.power_factor), near)
-        yield Chip(path.name, power, replace(like.grid, rows=power.shape[0], columns=power.shape[1]), view)
+        yield Chip(path.name, power, replace(runs[0].grid, rows=power.shape[0], columns=power.shape[1]), view)
 
 
 def require_comparable(chips: Sequence[Chip]) -> None:
