@@ -15,6 +15,7 @@ from sarsplat.data.image import power_of
 from sarsplat.data.orientation import oriented
 from sarsplat.data.sidecar import read_unplaced, unplaced_in
 from sarsplat.errors import SarsplatError
+from sarsplat.evaluation.azimuths import without_azimuth
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.geometry.view import seen_alike
 from sarsplat.importers.pictures import PICTURE_ENDINGS, read_values
@@ -75,18 +76,12 @@ def _of_dataset(dataset: Dataset, split: str | None, grazing_deg: float | None) 
     grid, target = dataset.grid, folder_name(dataset.target)
     for entry, power in zip(dataset.entries, dataset.power, strict=True):
         if entry.split in chosen:
-            view = _without_azimuth(entry.view, grazing_deg)
+            view = without_azimuth(entry.view, grazing_deg)
             yield Chip(entry.name, power, grid, view, target, entry.view.azimuth_deg)
     for one in unplaced_in(dataset.source, dataset):
         if one["set"] in chosen and dataset.path is not None:
-            view = _without_azimuth(seen_alike(dataset.views, 0.0, one["grazing_deg"]), grazing_deg)
+            view = without_azimuth(seen_alike(dataset.views, 0.0, one["grazing_deg"]), grazing_deg)
             yield Chip(one["name"], read_unplaced(dataset, dataset.path, one["file"]), grid, view, target)
-
-
-def _without_azimuth(view: View, grazing_deg: float | None) -> View:
-    lowest = -89 if view.aloft else 1
-    grazing = float(min(max(round(view.grazing_deg), lowest), 89)) if grazing_deg is None else grazing_deg
-    return replace(view, azimuth_deg=0.0, grazing_deg=grazing, tilt_deg=float(round(view.tilt_deg)))
 
 
 def _of_pictures(

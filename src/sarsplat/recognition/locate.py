@@ -13,6 +13,9 @@ import numpy as np
 from sarsplat.arguments import checks_arguments
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError, SarsplatWarning
+from sarsplat.evaluation.azimuths import around
+from sarsplat.evaluation.matching import Match, Matcher
+from sarsplat.evaluation.templates import Window, extents_m, grid_for, phase_of, templates, window_around
 from sarsplat.geometry import View
 from sarsplat.memory import required
 from sarsplat.names import Quantity, Side
@@ -20,9 +23,7 @@ from sarsplat.progress import progress
 from sarsplat.radiometry import to_db
 from sarsplat.recognition.chips import Chip, chips_of, most_per_target, require_comparable
 from sarsplat.recognition.located import Located
-from sarsplat.recognition.matching import Match, Matcher
 from sarsplat.recognition.odds import TEMPERATURE, Calibration
-from sarsplat.recognition.templates import Window, extents_m, grid_for, phase_of, templates, window_around
 from sarsplat.runs import Run
 from sarsplat.samples.chip_set import target_of
 
@@ -132,8 +133,7 @@ def locate(
     every = [*labelled, *chips]
     require_comparable(every)
     _warn_of_far_angles(opened, every)
-    azimuths = np.arange(steps) * 360.0 / steps
-    matches = _matched(opened, every, azimuths, window_m, ground, quiet)
+    matches = _matched(opened, every, steps, window_m, ground, quiet)
     if labelled:
         first = _assembled(opened, labelled, matches[: len(labelled)], calibration)
         samples = np.array([samples for _, samples in matches[: len(labelled)]])
@@ -144,7 +144,7 @@ def locate(
 def _matched(
     runs: Sequence[Run],
     chips: Sequence[Chip],
-    azimuths: np.ndarray,
+    steps: int,
     window_m: float | None,
     ground: Literal["learned", "flat"],
     quiet: bool,
@@ -166,9 +166,9 @@ def _matched(
             largest = Window.around([*windows.values()])
             down, across = largest.margins
             pixel_count = (largest.size[0] + 2 * down) * (largest.size[1] + 2 * across)
-            needed = _BYTES * len(runs) * len(azimuths) * pixel_count
+            needed = _BYTES * len(runs) * steps * pixel_count
             required("matching images", needed, "give fewer runs, a larger step_deg or a smaller window_m")
-            views, rendered = [replace(view, azimuth_deg=float(azimuth)) for azimuth in azimuths], []
+            views, rendered = around(view, steps), []
             for run, grid in zip(runs, grids, strict=True):
                 shows.advance(1, f"rendering {target_of(run)}")
                 rendered.append(templates(run, views, largest, grid, ground))

@@ -152,8 +152,12 @@ def templates(
     images = (
         run.render(views, None if grid == run.grid else grid) if ground == "learned" else _on_flat(run, views, grid)
     )
-    cut = window.cut(images, grid, window.margins)
-    return np.maximum(cut, float(cut.mean(dtype=np.float64)) * from_db(-DYNAMIC_RANGE_DB)).astype(np.float32)
+    return floored(window.cut(images, grid, window.margins))
+
+
+def floored(power: Real[np.ndarray, "v m n"]) -> Float32[np.ndarray, "v m n"]:
+    """Raise power to at least −40 dB of the mean."""
+    return np.maximum(power, float(power.mean(dtype=np.float64)) * from_db(-DYNAMIC_RANGE_DB)).astype(np.float32)
 
 
 @torch.no_grad()
