@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -23,10 +24,11 @@ from sarsplat import (
     import_mstar,
     locate,
     preset,
+    read_dataset,
     reconstruct,
     write_dataset,
 )
-from sarsplat.recognition import Calibration, Located
+from sarsplat.recognition import Calibration, Located, write_back
 
 MSTAR = Path(__file__).resolve().parents[3] / "shared" / "data" / "mstar"
 
@@ -205,7 +207,9 @@ def test_pictures_need_a_grazing_angle_alone(runs: dict[str, Run], images: list[
         locate([*every, coarser], tmp_path, grazing_deg=20.0)
 
 
-def test_images_without_azimuth_are_located_too(runs: dict[str, Run], images: list[Dataset], tmp_path: Path) -> None:
+def test_images_without_azimuth_are_located_too(
+    runs: dict[str, Run], images: list[Dataset], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     lost = {"name": "lost", "file": "unplaced/000.tif", "set": "test", "grazing_deg": 20.0}
     power = images[0].power[1]
     train = replace(images[0].entries[0], split="train")
@@ -215,6 +219,16 @@ def test_images_without_azimuth_are_located_too(runs: dict[str, Run], images: li
     assert [chip.name for chip in found.chips] == [*(f"{k:03d}" for k in range(1, 8)), "lost"]
     np.testing.assert_array_equal(found.nats[7], found.nats[0])
     assert np.isnan(found.azimuth_errors_deg[7])
+    copy = write_back(found, tmp_path / "data", tmp_path / "copy")
+    assert copy.entries[:-1] == dataset.entries
+    placed = copy.entries[-1]
+    assert (placed.name, placed.split, placed.view.grazing_deg) == ("lost", "test", 20.0)
+    assert abs(placed.view.azimuth_deg - dataset.entries[1].view.azimuth_deg) < 5
+    assert 0 < placed.azimuth_std_deg == pytest.approx(found.azimuth_std_deg[7, 1])
+    np.testing.assert_array_equal(read_dataset(tmp_path / "copy").power[-1], power)
+    monkeypatch.setattr(sys.modules["sarsplat.recognition.write_back"], "_MAX_REVERSED", -1.0)
+    with pytest.raises(SarsplatError, match=r"no image of .*data gets an azimuth"):
+        write_back(found, tmp_path / "data", tmp_path / "other")
 
 
 @pytest.mark.parametrize(
@@ -280,6 +294,10 @@ def test_table_and_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
         (["locate", *words, "--out", str(out)], "found.csv already exists"),
         (["locate", *words[:2], "--out", str(tmp_path / "x.csv")], "there are no images of the set test to locate"),
         (["locate", *words, "--out", str(tmp_path / "x.txt")], "does not end in .csv"),
+        (
+            ["locate", *words[:2], "--out", str(tmp_path / "x.csv"), "--write-back", str(tmp_path / "y")],
+            "of one dataset",
+        ),
     ):
         assert main(change) == 2
         assert sentence in " ".join(capsys.readouterr().err.split())

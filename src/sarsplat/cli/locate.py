@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 import tyro
 
 from sarsplat.cli import console
-from sarsplat.cli.arguments import Metres, OptionalName, OptionalNumber, refuse_existing, require_ending
-from sarsplat.errors import counted
+from sarsplat.cli.arguments import Metres, OptionalFolder, OptionalName, OptionalNumber, refuse_existing, require_ending
+from sarsplat.errors import SarsplatError, counted
 from sarsplat.names import Quantity, Side
 
 
@@ -27,6 +27,7 @@ def locate(
     ground: Literal["learned", "flat"] = "learned",
     near: Side = "top",
     quantity: Quantity | None = None,
+    write_back: OptionalFolder = None,
     overwrite: bool = False,
 ) -> None:
     """Find class and azimuth of images: each is compared with every run, rendered from all azimuths.
@@ -57,22 +58,27 @@ def locate(
         Side of pictures that is near the radar; MSTAR's is the bottom.
     quantity
         Quantity of the numbers in pictures (default: as in import folder).
+    write_back
+        Copy of the dataset to write, in which images without azimuth that were located have the azimuth found, with its
+        standard deviation, which training refines; other azimuths stay.
     overwrite
         Replace existing files.
     """
     from sarsplat import recognition
-    from sarsplat.recognition.page import write_page
-    from sarsplat.runs.run_folder import HEADER
+    from sarsplat.data.dataset_folder import HEADER
 
     require_ending("out", out, ".csv")
-    page = out.with_suffix(".html")
-    stored = [out.with_suffix(".json")] * any(path.suffix != ".json" for path in calibrate)
-    for path in (out, page, *stored):
+    files = recognition.files_of(out, calibrate)
+    for path in files:
         refuse_existing(path, overwrite)
-    runs = [path for path in paths if (path / HEADER).is_file()]
+    runs, images = recognition.runs_and_images(paths)
+    if write_back is not None:
+        refuse_existing(write_back, overwrite, marker=HEADER)
+        if len(images) != 1 or not (images[0] / HEADER).is_file():
+            raise SarsplatError("--write-back is for the images of one dataset; give it alone, or leave that out")
     located = recognition.locate(
         runs,
-        [path for path in paths if path not in runs],
+        images,
         calibrate=calibrate,
         split=split,
         grazing_deg=grazing,
@@ -83,12 +89,11 @@ def locate(
         quantity=quantity,
         quiet=False,
     )
-    located.write_csv(out)
-    write_page(located, page)
-    for path in stored:
-        located.calibration.write(path)
+    recognition.write_files(located, files)
+    if write_back is not None:
+        console.say(f"wrote {recognition.write_back(located, images[0], write_back, overwrite=overwrite)}")
     if scores := located.scores_in_words():
         console.facts("where labels are known", scores)
     if not located.calibration.images and len(located.classes) > 1:
         console.warn("the odds are uncalibrated; give --calibrate labelled images of all classes to make them true")
-    console.finish(f"{out}: {counted(len(located), 'image')}", f"open {page} in a browser")
+    console.finish(f"{out}: {counted(len(located), 'image')}", f"open {files[1]} in a browser")
