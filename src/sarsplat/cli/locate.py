@@ -1,7 +1,5 @@
 """`sarsplat locate`: find class and azimuth of images by rendering runs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -9,7 +7,7 @@ import tyro
 
 from sarsplat.cli import console
 from sarsplat.cli.arguments import Metres, OptionalFolder, OptionalName, OptionalNumber, refuse_existing, require_ending
-from sarsplat.errors import SarsplatError, counted
+from sarsplat.errors import counted
 from sarsplat.names import Quantity, Side
 
 
@@ -18,7 +16,7 @@ def locate(
     *,
     out: Annotated[Path, tyro.conf.arg(metavar="CSV")],
     calibrate: Annotated[
-        tuple[Path, ...], tyro.conf.arg(metavar="LABELLED … | JSON", help_behavior_hint="(optional)")
+        tuple[Path, ...], tyro.conf.arg(metavar="LABELLED …|JSON", help_behavior_hint="(optional)")
     ] = (),
     split: OptionalName = None,
     grazing: OptionalNumber = None,
@@ -50,8 +48,7 @@ def locate(
     step
         Step between azimuths, degrees; it divides 360.
     window
-        Side of the square around the origin in which images are compared (default: a rectangle that holds targets and
-        shadows of all runs), as far as they show it.
+        Side of the compared square around the origin (default: targets and shadows of all runs), as far as images reach.
     ground
         Ground of the renderings: learned knows the field where the training images were recorded, flat does not.
     near
@@ -59,23 +56,17 @@ def locate(
     quantity
         Quantity of the numbers in pictures (default: as in import folder).
     write_back
-        Copy of the dataset to write, in which images without azimuth that were located have the azimuth found, with its
-        standard deviation, which training refines; other azimuths stay.
+        Copy of the dataset to write, with the azimuths found for images that had none; training refines them.
     overwrite
         Replace existing files.
     """
     from sarsplat import recognition
-    from sarsplat.data.dataset_folder import HEADER
 
     require_ending("out", out, ".csv")
     files = recognition.files_of(out, calibrate)
-    for path in files:
+    for path in filter(None, (*files, write_back)):
         refuse_existing(path, overwrite)
-    runs, images = recognition.runs_and_images(paths)
-    if write_back is not None:
-        refuse_existing(write_back, overwrite, marker=HEADER)
-        if len(images) != 1 or not (images[0] / HEADER).is_file():
-            raise SarsplatError("--write-back is for the images of one dataset; give it alone, or leave that out")
+    runs, images = recognition.runs_and_images(paths, one_dataset=write_back is not None)
     located = recognition.locate(
         runs,
         images,
