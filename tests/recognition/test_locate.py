@@ -296,7 +296,7 @@ def test_table_and_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
         (["locate", *words, "--out", str(tmp_path / "x.txt")], "does not end in .csv"),
         (
             ["locate", *words[:2], "--out", str(tmp_path / "x.csv"), "--write-back", str(tmp_path / "y")],
-            "of one dataset",
+            "--write-back copies one dataset",
         ),
     ):
         assert main(change) == 2

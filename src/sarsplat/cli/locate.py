@@ -48,7 +48,7 @@ def locate(
     step
         Step between azimuths, degrees; it divides 360.
     window
-        Side of the compared square around the origin (default: targets and shadows of all runs), as far as images reach.
+        Side of the compared square around the origin (default: targets and shadows of all runs), as far as they reach.
     ground
         Ground of the renderings: learned knows the field where the training images were recorded, flat does not.
     near
