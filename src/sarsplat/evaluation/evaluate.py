@@ -254,7 +254,7 @@ def _azimuth_errors(
     try:
         if split != (hardest := _hardest(dataset)):  # each set would take a seventh of an evaluation
             raise UndefinedScore(
-                f"azimuths are found in {hardest}, seen from farthest from the training's grazing angles"
+                f"azimuths are found in {hardest} alone, the set farthest from the training's grazing angles"
             )
         if not LOCATABLE.met(tested):
             raise UndefinedScore(LOCATABLE.otherwise)
