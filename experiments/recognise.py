@@ -17,7 +17,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before torch is loaded
 
@@ -107,7 +107,7 @@ def scores_of(folders: Sequence[Path], arm: str, each: int | None) -> dict[str, 
     runs = [(Averaged if arm == "average" else Run).load(folder) for folder in folders]
     tests = [_evenly(run.dataset.select(f"test-{TEST}"), each) for run in runs]
     others = [run.dataset.select(f"test-{TRAINING}") for run in runs]
-    ground = "flat" if arm == "flat" else "learned"
+    ground: Literal["learned", "flat"] = "flat" if arm == "flat" else "learned"
     found = locate(runs, tests, calibrate=others, ground=ground)
     scores = {name: round(value, 4) for name, value in found.scores().items() if name in COLUMNS}
     return {**scores, "images": len(found), "calibrated by": found.calibration.images}
