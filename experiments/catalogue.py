@@ -9,6 +9,7 @@ from typing import Any
 from conditions import CONDITIONS_GRID
 from experiment import Experiment, Options, Row, scene
 from measured import MEASURED
+from recognise import RECOGNISE
 
 from baselines import BASELINES, BASELINES_ON_CHIPS
 from sarsplat.evaluation.paper import PAPER_DENSIFICATION, PAPER_DENSITY, paper_scores
@@ -232,4 +233,5 @@ EXPERIMENTS: tuple[Experiment, ...] = (
     BASELINES,
     BASELINES_ON_CHIPS,
     *MEASURED,
+    RECOGNISE,
 )

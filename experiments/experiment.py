@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 from sarsplat.settings.config import DEFAULT_METHOD
+from sarsplat.sweeps.results import Result
 
 Options = Mapping[str, Any]
 
@@ -101,6 +103,8 @@ class Experiment:
         Whether rows are held against the first of their group even where the paper has figures.
     pictured : bool
         Whether images and points of every whole training are shown.
+    report : callable or None
+        Writes the page of runs that are scored together: experiment, results, folder of the sweep, folder of pages.
     """
 
     name: str
@@ -116,6 +120,7 @@ class Experiment:
     quick: bool = False
     contest: bool = False
     pictured: bool = False
+    report: Callable[[Experiment, Sequence[Result], Path, Path], None] | None = None
 
     @property
     def measured(self) -> bool:
@@ -139,12 +144,16 @@ class Experiment:
         return groups
 
     def in_small(self) -> Experiment:
-        """First, middle and last row of each group, one target, one seed, coarse pixels, short trainings."""
-        rows = []
+        """First, middle and last row of each group, one target or two, one seed, coarse pixels, short trainings."""
+        rows, targets = [], 1 if self.report is None else 2
         for group in self.groups().values():
             chosen = sorted({0, len(group) // 2, len(group) - 1})
             labels = {group[k].label for k in chosen} | {group[k].full for k in chosen}
-            rows += [replace(row, datasets=(_coarse(row.datasets[0]),)) for row in group if row.label in labels]
+            rows += [
+                replace(row, datasets=tuple(map(_coarse, row.datasets[:targets])))
+                for row in group
+                if row.label in labels
+            ]
         return replace(self, rows=tuple(rows), seeds=self.seeds[:1], quick=True)
 
 

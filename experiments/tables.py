@@ -83,10 +83,13 @@ def run(
             failed += swept.failed
             if experiment.pictured:
                 draw_groups(experiment, results, work / "sweep", out)
-        runs = runs_of(experiment, results, kept)
-        write(experiment, runs, out)
-        if not experiment.quick:
-            fill_readme(experiment, runs)
+        if experiment.report is not None:
+            experiment.report(experiment, results, work / "sweep", out)
+        else:
+            runs = runs_of(experiment, results, kept)
+            write(experiment, runs, out)
+            if not experiment.quick:
+                fill_readme(experiment, runs)
         write_index(out, experiment.quick)
     print(f"tables: {out}")
     for one in failed:

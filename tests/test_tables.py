@@ -279,3 +279,37 @@ def test_quick_tables_do_not_reach_the_results(made, tmp_path, monkeypatch, caps
     with pytest.raises(SystemExit, match="2"):
         made.tables.main()
     assert "there is no experiment 'los'; choose from rendered, " in capsys.readouterr().err
+
+
+def test_classes_and_azimuths_are_reported_by_arm_and_kept(made, module, tmp_path, monkeypatch):
+    recognise = module("experiments/recognise")
+    scores = {"accuracy": 0.9, "median azimuth error, °": 1.25, "azimuth within 5°": 0.8, "images": 40}
+    asked = []
+    monkeypatch.setattr(
+        recognise,
+        "scores_of",
+        lambda folders, arm, each: asked.append((len(folders), arm, each)) or {**scores, "calibrated by": 20},
+    )
+    rows = recognise.rows((5, 12), 2)
+    assert [len(one.datasets) for one in rows] == [2, 2]
+    table = replace(recognise.RECOGNISE, rows=rows, report=partial(recognise.report, each=7))
+    results = [finished(rows[1], 0, 0.1), finished(rows[1], 0, 0.1), finished(rows[0], 0, 0.1), waiting(rows[0], 0)]
+    for _ in range(2):
+        table.report(table, results, tmp_path, tmp_path / "out")
+    assert asked == [(2, arm, 7) for arm in recognise.ARMS] * 2  # of five chips, a training is missing
+    page = (tmp_path / "out" / "recognise.md").read_text()
+    assert page.count("| 12 | flat ground | 90.0 % | 1.25° | 80.0 % | – | – | – | 40 |") == 1
+    assert "From 12 chips of a class, 90.0 % of chips are recognised (rotated average 90.0 %)" in page
+
+
+def test_rotated_averages_are_displaced_with_their_grid(module, monkeypatch):
+    recognise = module("experiments/recognise")
+    grid = ImageGrid(16, 16, (0.2, 0.3), (0.3, 0.3))
+    images = 1 + np.arange(256.0).reshape(1, 16, 16)
+    dataset = dataset_of(grid, [(View(0, 17), "train")], images.astype(np.float32))
+    run = object.__new__(recognise.Averaged)
+    monkeypatch.setattr(recognise.Averaged, "dataset", property(lambda run: dataset))
+    monkeypatch.setattr(recognise, "rotated_average", lambda power, *_: power)
+    moved = run.render([View(0, 17)], replace(grid, center_m=(0.1, 0.15)))
+    here = run.render([View(0, 17)])
+    np.testing.assert_allclose(moved[:, 1:-1, 1:-1], (here[:, 1:-1, 1:-1] + here[:, 2:, 2:]) / 2)

@@ -14,7 +14,7 @@ from sarsplat import Dataset, ImageGrid, Run, SarsplatError, SarsplatWarning, Vi
 from sarsplat.data.folders import only_writer
 from sarsplat.evaluation import (
     IMAGE_METRICS,
-    MASK_METRICS,
+    UNSEEN_METRICS,
     Yardstick,
     all_metrics,
     log_correlation,
@@ -34,7 +34,7 @@ ON_THE_TOP = np.stack([*(a.ravel() for a in np.meshgrid(*[np.linspace(-1, 1, 30)
 WEIGHTS = Path(__file__).resolve().parents[3] / "shared" / "data" / "weights"
 YARDSTICK = Yardstick(0.3)
 IMAGE_KEYS = [metric.key for metric in IMAGE_METRICS]
-MASK_KEYS = [metric.key for metric in MASK_METRICS]
+UNSEEN_KEYS = [metric.key for metric in UNSEEN_METRICS]
 POINT_KEYS = [metric.key for metric in metrics_of_points(YARDSTICK)]
 NOISE_FREE_ONLY, SPECKLED_ONLY = IMAGE_KEYS[:4], IMAGE_KEYS[4:]
 
@@ -118,9 +118,9 @@ def test_every_key_is_there_every_null_has_its_reason_and_points_are_held_agains
     leaves = {f"images.{name}.{key}": value for name, row in metrics["images"].items() for key, value in row.items()}
     for kind in ("points", "mesh"):
         leaves |= {f"{kind}.{name}.{key}": value for name, row in metrics[kind].items() for key, value in row.items()}
-    assert set(leaves) == {
-        f"images.{name}.{key}" for name in metrics["images"] for key in (*IMAGE_KEYS, *MASK_KEYS)
-    } | {f"{kind}.{name}.{key}" for kind in ("points", "mesh") for name in ("visible", "whole") for key in POINT_KEYS}
+    assert set(leaves) == {f"images.{name}.{key}" for name in metrics["images"] for key in UNSEEN_KEYS} | {
+        f"{kind}.{name}.{key}" for kind in ("points", "mesh") for name in ("visible", "whole") for key in POINT_KEYS
+    }
     assert set(metrics["reasons"]) == {key for key, value in leaves.items() if value is None} | {
         "undetermined",
         "missing",

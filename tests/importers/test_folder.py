@@ -131,6 +131,30 @@ def test_names_angles_and_lengths_of_a_table_of_ones_own(tmp_path):
     assert "the resolution is the pixel spacing" in made.source["assumptions"]
 
 
+def test_columns_in_the_names_of_pictures(tmp_path, capsys):
+    (tmp_path / "in" / "box").mkdir(parents=True)
+    for azimuth, split, image in zip(AZIMUTHS, ("train", "test-a", "train", "train"), POWER, strict=True):
+        np.save(tmp_path / "in" / "box" / f"shot {azimuth}deg_60.50_{split}.npy", image)
+    np.save(tmp_path / "in" / "other.npy", POWER[0])
+    names = "shot {azimuth}deg_{inc}_{set}.npy"
+    with pytest.warns(SarsplatWarning, match="has no row for 1 picture in"):
+        made = import_pictures(tmp_path / "in", names=names)
+    assert sorted(entry.view.azimuth_deg for entry in made.entries) == sorted(AZIMUTHS)
+    assert {entry.view.grazing_deg for entry in made.entries} == {29.5}
+    assert [entry.split for entry in made.entries] == ["train"] * 3 + ["test-a"]
+    np.testing.assert_array_equal(made.power[0], POWER[0])
+    with pytest.warns(SarsplatWarning, match="has no row for 1 picture in"):
+        classed = import_pictures(tmp_path / "in", names="{class}/" + names)
+    assert classed.target == "box"
+    (tmp_path / "in" / "other.npy").unlink()
+    with pytest.raises(SarsplatError, match="no picture with a name like"):
+        import_pictures(tmp_path / "in", names="x{azimuth}_{inc}.npy")
+    with pytest.raises(SarsplatError, match="line 1: azimuth is 'shot 0"):
+        import_pictures(tmp_path / "in", names="{azimuth}_{inc}_{set}.npy")
+    assert main(command(tmp_path / "in", "--overwrite", "--names", "shot {azimuth}_{inc}.npy")) == 2
+    assert "inc is '60.50_train'" in " ".join(capsys.readouterr().err.split())
+
+
 def test_ranges_along_the_ground_are_shorter_in_the_slant_plane(tmp_path):
     made = import_pictures(write_pictures(tmp_path / "in", POWER), ground_range=True, resolution_m=None)
     assert made.grid.spacing_m == pytest.approx((0.1, 0.3 * np.cos(np.radians(30))))

@@ -38,6 +38,8 @@ FOLDERS: list[Case] = [
         {"columns": {"grazing": "grazing", "inc": "inc"}},
         {"columns": {"inc": "inc"}},
     ),
+    ("replaces the table", NEW, [30], {"names": "{azimuth}.npy"}, {"names": None}),
+    ("columns in braces, each once", NEW, [30], {"names": "{az}_{az}.npy"}, {"names": None}),
     ("several columns that may be the azimuth", "file,azim,grazing,az", [30, 0], {}, {"columns": {"az": "azim"}}),
     ("like the grazing", "file,azimuth,x", [30], {}, {"grazing_deg": 30.0}),
     ("like the grazing", "file,azimuth,x", [30], {}, {"columns": {"incidence": "x"}}),

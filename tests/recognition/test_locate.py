@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -23,10 +24,11 @@ from sarsplat import (
     import_mstar,
     locate,
     preset,
+    read_dataset,
     reconstruct,
     write_dataset,
 )
-from sarsplat.recognition import Calibration, Located
+from sarsplat.recognition import Calibration, Located, write_back
 
 MSTAR = Path(__file__).resolve().parents[3] / "shared" / "data" / "mstar"
 
@@ -104,6 +106,21 @@ def test_a_target_that_looks_the_same_from_behind_may_be_reversed(located: Locat
     assert located.scores()["azimuth within one standard deviation"] > 0.4
 
 
+def test_sizes_of_images_change_neither_shift_nor_window_of_others(
+    runs: dict[str, Run], images: list[Dataset], located: Located
+) -> None:
+    """Also where the origin is in a pixel's centre instead of between pixels, and where less is shown."""
+    entries = speckled(runs["long"], [40.0, 160.0], 0).entries
+    for rows, columns in ((44, 40), (45, 40), (45, 41), (38, 35)):
+        grid = replace(GRID, rows=rows, columns=columns)
+        power = np.roll(runs["long"].render([entry.view for entry in entries], grid), (1, 2), (1, 2))
+        sized = Dataset(grid, entries, power, target="long")
+        found = locate([*runs.values()], [images[0], sized], **QUICK)
+        np.testing.assert_allclose(found.shift_m[8:, 1], [(0.6, 0.3)] * 2)
+        assert np.abs(found.azimuth_errors_deg[8:]).max() < 1
+        np.testing.assert_array_equal(found.nats[:8], located.nats[:8])
+
+
 def numbers(located: Located) -> list[dict[str, str]]:
     return sorted(located.rows(), key=lambda row: (row["labelled_class"], row["image"]))
 
@@ -177,9 +194,22 @@ def test_pictures_need_a_grazing_angle_alone(runs: dict[str, Run], images: list[
     assert found.scores() == {}
     with pytest.raises(SarsplatError, match="have no grazing angle; give it as `grazing_deg`"):
         locate(every, tmp_path)
+    (tmp_path / "chip.png").unlink()
+    np.save(tmp_path / "chip.npy", 20 * np.log10(np.maximum(level[::-1, ::-1], 1e-3)))
+    with pytest.raises(SarsplatError, match="unknown meaning; say by `quantity`"):
+        locate(every, tmp_path, grazing_deg=20.0, near="bottom", **QUICK)
+    decibels = locate(every, tmp_path, grazing_deg=20.0, near="bottom", quantity="db", **QUICK)
+    np.testing.assert_allclose(decibels.nats, found.nats, atol=0.02)
+    coarser = Run.from_gaussians(
+        runs["pair"].gaussians, replace(GRID, spacing_m=(0.4, 0.4)), runs["pair"].dataset.views
+    )
+    with pytest.raises(SarsplatError, match="pictures have the runs' pixels, but these differ"):
+        locate([*every, coarser], tmp_path, grazing_deg=20.0)
 
 
-def test_images_without_azimuth_are_located_too(runs: dict[str, Run], images: list[Dataset], tmp_path: Path) -> None:
+def test_images_without_azimuth_are_located_too(
+    runs: dict[str, Run], images: list[Dataset], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     lost = {"name": "lost", "file": "unplaced/000.tif", "set": "test", "grazing_deg": 20.0}
     power = images[0].power[1]
     train = replace(images[0].entries[0], split="train")
@@ -189,6 +219,16 @@ def test_images_without_azimuth_are_located_too(runs: dict[str, Run], images: li
     assert [chip.name for chip in found.chips] == [*(f"{k:03d}" for k in range(1, 8)), "lost"]
     np.testing.assert_array_equal(found.nats[7], found.nats[0])
     assert np.isnan(found.azimuth_errors_deg[7])
+    copy = write_back(found, tmp_path / "data", tmp_path / "copy")
+    assert copy.entries[:-1] == dataset.entries
+    placed = copy.entries[-1]
+    assert (placed.name, placed.split, placed.view.grazing_deg) == ("lost", "test", 20.0)
+    assert abs(placed.view.azimuth_deg - dataset.entries[1].view.azimuth_deg) < 5
+    assert 0 < placed.azimuth_std_deg == pytest.approx(found.azimuth_std_deg[7, 1])
+    np.testing.assert_array_equal(read_dataset(tmp_path / "copy").power[-1], power)
+    monkeypatch.setattr(sys.modules["sarsplat.recognition.write_back"], "_MAX_REVERSED", -1.0)
+    with pytest.raises(SarsplatError, match=r"no image of .*data gets an azimuth"):
+        write_back(found, tmp_path / "data", tmp_path / "other")
 
 
 @pytest.mark.parametrize(
@@ -254,6 +294,10 @@ def test_table_and_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
         (["locate", *words, "--out", str(out)], "found.csv already exists"),
         (["locate", *words[:2], "--out", str(tmp_path / "x.csv")], "there are no images of the set test to locate"),
         (["locate", *words, "--out", str(tmp_path / "x.txt")], "does not end in .csv"),
+        (
+            ["locate", *words[:2], "--out", str(tmp_path / "x.csv"), "--write-back", str(tmp_path / "y")],
+            "--write-back copies one dataset",
+        ),
     ):
         assert main(change) == 2
         assert sentence in " ".join(capsys.readouterr().err.split())

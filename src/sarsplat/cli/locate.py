@@ -1,16 +1,14 @@
 """`sarsplat locate`: find class and azimuth of images by rendering runs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
 from sarsplat.cli import console
-from sarsplat.cli.arguments import Metres, OptionalName, OptionalNumber, refuse_existing, require_ending
+from sarsplat.cli.arguments import Metres, OptionalFolder, OptionalName, OptionalNumber, refuse_existing, require_ending
 from sarsplat.errors import counted
-from sarsplat.names import Side
+from sarsplat.names import Quantity, Side
 
 
 def locate(
@@ -18,7 +16,7 @@ def locate(
     *,
     out: Annotated[Path, tyro.conf.arg(metavar="CSV")],
     calibrate: Annotated[
-        tuple[Path, ...], tyro.conf.arg(metavar="LABELLED … | JSON", help_behavior_hint="(optional)")
+        tuple[Path, ...], tyro.conf.arg(metavar="LABELLED …|JSON", help_behavior_hint="(optional)")
     ] = (),
     split: OptionalName = None,
     grazing: OptionalNumber = None,
@@ -26,6 +24,8 @@ def locate(
     window: Metres = None,
     ground: Literal["learned", "flat"] = "learned",
     near: Side = "top",
+    quantity: Quantity | None = None,
+    write_back: OptionalFolder = None,
     overwrite: bool = False,
 ) -> None:
     """Find class and azimuth of images: each is compared with every run, rendered from all azimuths.
@@ -48,28 +48,28 @@ def locate(
     step
         Step between azimuths, degrees; it divides 360.
     window
-        Side of the square around the origin in which images are compared (default: a rectangle that holds targets and
-        shadows of all runs).
+        Side of the compared square around the origin (default: targets and shadows of all runs), as far as they reach.
     ground
         Ground of the renderings: learned knows the field where the training images were recorded, flat does not.
     near
         Side of pictures that is near the radar; MSTAR's is the bottom.
+    quantity
+        Quantity of the numbers in pictures (default: as in import folder).
+    write_back
+        Copy of the dataset to write, with the azimuths found for images that had none; training refines them.
     overwrite
         Replace existing files.
     """
     from sarsplat import recognition
-    from sarsplat.recognition.page import write_page
-    from sarsplat.runs.run_folder import HEADER
 
     require_ending("out", out, ".csv")
-    page = out.with_suffix(".html")
-    stored = [out.with_suffix(".json")] * any(path.suffix != ".json" for path in calibrate)
-    for path in (out, page, *stored):
+    files = recognition.files_of(out, calibrate)
+    for path in filter(None, (*files, write_back)):
         refuse_existing(path, overwrite)
-    runs = [path for path in paths if (path / HEADER).is_file()]
+    runs, images = recognition.runs_and_images(paths, one_dataset=write_back is not None)
     located = recognition.locate(
         runs,
-        [path for path in paths if path not in runs],
+        images,
         calibrate=calibrate,
         split=split,
         grazing_deg=grazing,
@@ -77,14 +77,14 @@ def locate(
         window_m=window,
         ground=ground,
         near=near,
+        quantity=quantity,
         quiet=False,
     )
-    located.write_csv(out)
-    write_page(located, page)
-    for path in stored:
-        located.calibration.write(path)
+    recognition.write_files(located, files)
+    if write_back is not None:
+        console.say(f"wrote {recognition.write_back(located, images[0], write_back, overwrite=overwrite)}")
     if scores := located.scores_in_words():
         console.facts("where labels are known", scores)
     if not located.calibration.images and len(located.classes) > 1:
         console.warn("the odds are uncalibrated; give --calibrate labelled images of all classes to make them true")
-    console.finish(f"{out}: {counted(len(located), 'image')}", f"open {page} in a browser")
+    console.finish(f"{out}: {counted(len(located), 'image')}", f"open {files[1]} in a browser")

@@ -16,7 +16,16 @@ from sarsplat.evaluation.images import (
     ssim,
 )
 from sarsplat.evaluation.lpips import Lpips, lpips
-from sarsplat.evaluation.metrics import IMAGE_METRICS, MASK_METRICS, RUN_METRICS, Metric, all_metrics, metrics_of_points
+from sarsplat.evaluation.metrics import (
+    AZIMUTH_METRICS,
+    IMAGE_METRICS,
+    MASK_METRICS,
+    RUN_METRICS,
+    UNSEEN_METRICS,
+    Metric,
+    all_metrics,
+    metrics_of_points,
+)
 from sarsplat.evaluation.paper import (
     NOT_THE_SAME_EXPERIMENT,
     PAPER_DENSIFICATION,
@@ -37,12 +46,14 @@ from sarsplat.evaluation.tables import (
 )
 
 __all__ = [
+    "AZIMUTH_METRICS",
     "IMAGE_METRICS",
     "MASK_METRICS",
     "NOT_THE_SAME_EXPERIMENT",
     "PAPER_DENSIFICATION",
     "PAPER_DENSITY",
     "RUN_METRICS",
+    "UNSEEN_METRICS",
     "Alignment",
     "Beaten",
     "Lpips",

@@ -15,13 +15,16 @@ from sarsplat.data import Dataset, Mask, read_masks
 from sarsplat.data.files import open_file
 from sarsplat.data.folders import only_writer
 from sarsplat.errors import SarsplatError
-from sarsplat.evaluation.baselines import baseline_scores
+from sarsplat.evaluation.azimuths import azimuth_errors
+from sarsplat.evaluation.baselines import baseline_scores, rotated_average
 from sarsplat.evaluation.capon import capon_points
 from sarsplat.evaluation.images import MaskPair, Stack, UndefinedScore, predicted_masks
 from sarsplat.evaluation.left_open import missing
 from sarsplat.evaluation.lpips import Lpips, lpips_weights
 from sarsplat.evaluation.metrics import (
+    AZIMUTH_METRICS,
     IMAGE_METRICS,
+    LOCATABLE,
     MASK_METRICS,
     RUN_METRICS,
     ImagePair,
@@ -178,6 +181,7 @@ def _evaluate(
         reasons["images"] = "the dataset has no test images, so nothing is unseen; add views of other splits"
     images: dict[str, dict[str, float | None]] = {}
     by_image: dict[str, dict[str, Any]] = {}
+    errors: dict[str, Sequence[Float64[np.ndarray, " v"] | UndefinedScore]] = {}
     tests = sum(len(dataset.images(split)) for split in test_sets)
     surfaced = points and dataset.truth_mesh is not None
     steps = tests + len(masks) + (_MESH + _SURFACE + 4 * _distances(dataset) if surfaced else 0)
@@ -191,15 +195,21 @@ def _evaluate(
             numbers = [index for index, entry in enumerate(dataset.entries) if entry.split == split]
             compared = _masks(run, tested, pair.rendered, [masks.get(index) for index in numbers], shown)
             images[split] |= compute_all(MASK_METRICS, tested, compared, f"images.{split}.", reasons)
+            errors[split] = _azimuth_errors(run, dataset, split, shown)
+            images[split] |= compute_all(AZIMUTH_METRICS, tested, errors[split][0], f"images.{split}.", reasons)
         surfaces = _surfaces(run, dataset, true_mesh, points, alignment == "rigid", yardstick, reasons, shown)
         shown.update(steps)
         lacking = _missing(run, reasons, shown)
+    beside = baseline_scores(dataset, reasons) if speckled_tests and dataset.ground else None
+    for split, others in (beside or {}).items():
+        where = f"baselines.{split}.rotated_average."
+        others["rotated_average"] |= compute_all(AZIMUTH_METRICS, dataset, errors[split][1], where, reasons)
     return {
         "images": images,
         "by_image": by_image,
         **surfaces,
         "masks": None if masks_dir is None else str(masks_dir.resolve()),
-        "baselines": baseline_scores(dataset, reasons) if speckled_tests and dataset.ground else None,
+        "baselines": beside,
         **compute_all(RUN_METRICS, dataset, run, "", reasons),
         "missing": lacking,
         "seed": run.seed,
@@ -230,6 +240,34 @@ def _rendered(run: Run, views: Sequence[View], shown: Reporter) -> Stack:
         images.append(run.render(batch))
         shown.advance(len(batch), "test views")
     return np.concatenate(images)
+
+
+def _azimuth_errors(
+    run: Run, dataset: Dataset, split: str, shown: Reporter
+) -> Sequence[Float64[np.ndarray, " v"] | UndefinedScore]:
+    """Errors of the azimuths that are found by the run and by the rotated average, degrees, in the hardest set."""
+    tested, train = dataset.select(split), dataset.select("train")
+
+    def average(views: Sequence[View]) -> Stack:
+        return rotated_average(train.power.astype(np.float64), train.views, views, train.grid)
+
+    try:
+        if split != (hardest := _hardest(dataset)):  # each set would take a seventh of an evaluation
+            raise UndefinedScore(
+                f"azimuths are found in {hardest} alone, the set farthest from the training's grazing angles"
+            )
+        if not LOCATABLE.met(tested):
+            raise UndefinedScore(LOCATABLE.otherwise)
+        shown.advance(0, "azimuths of the test images")
+        return azimuth_errors(run, tested, [run.render, average])
+    except UndefinedScore as undefined:
+        return [undefined] * 2
+
+
+def _hardest(dataset: Dataset) -> str:
+    """Return the test set whose mean grazing angle is farthest from the training's."""
+    mean = {name: np.mean([view.grazing_deg for view in dataset.select(name).views]) for name in dataset.splits()}
+    return max((name for name in mean if name != "train"), key=lambda name: abs(mean[name] - mean["train"]))
 
 
 def _by_image(tested: Dataset, pair: ImagePair) -> dict[str, Any]:

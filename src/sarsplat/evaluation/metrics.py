@@ -13,6 +13,7 @@ import numpy as np
 
 from sarsplat.data import Dataset
 from sarsplat.evaluation import images, lpips
+from sarsplat.evaluation.azimuths import CLOSE_DEG, REVERSED_DEG, STEP_DEG
 from sarsplat.evaluation.images import REACH, MaskPair, Stack, UndefinedScore
 from sarsplat.evaluation.left_open import undetermined
 from sarsplat.evaluation.points import NORMALS_OFF_DEG, PointMetrics, Yardstick
@@ -35,7 +36,7 @@ Measured = TypeVar("Measured")
 
 @dataclass(frozen=True)
 class Metric(Generic[Measured]):
-    """A metric of one kind of measured objects: images, masks, points or runs."""
+    """A metric of one kind of measured objects: images, masks, azimuths, points or runs."""
 
     key: str
     """Name in `metrics.json`."""
@@ -243,6 +244,40 @@ MASK_METRICS: tuple[Metric[MaskPair], ...] = (
 """Metrics of predicted masks of target and shadow."""
 
 
+LOCATABLE = Requirement(
+    lambda dataset: _speckled(dataset) and dataset.ground and not dataset.passes,
+    "azimuths are found in speckled images of one channel that show ground",
+)
+_of_azimuths = partial(Metric[np.ndarray], requires=LOCATABLE)
+
+AZIMUTH_METRICS: tuple[Metric[np.ndarray], ...] = (
+    _of_azimuths(
+        "azimuth_error_deg",
+        *("azimuth error, median", "°", ".2f", "less"),
+        f"median absolute error of the azimuths at which images are most likely, among predictions every {STEP_DEG:g}° "
+        "around, displaced by up to 3 resolution cells, of any gain",
+        lambda errors: float(np.median(np.abs(errors))),
+        short="azimuth",
+    ),
+    _of_azimuths(
+        f"azimuth_within@{CLOSE_DEG:g}",
+        *(f"azimuth within {CLOSE_DEG:g}°", "", ".3f", "more"),
+        f"share of the images for which that error is at most {CLOSE_DEG:g}°",
+        lambda errors: float(np.mean(np.abs(errors) <= CLOSE_DEG)),
+    ),
+    _of_azimuths(
+        "azimuth_reversed",
+        *("azimuth reversed", "", ".3f", "less"),
+        f"share of the images for which that error is more than {REVERSED_DEG:g}°",
+        lambda errors: float(np.mean(np.abs(errors) > REVERSED_DEG)),
+    ),
+)
+"""Metrics of the errors of azimuths, degrees, that are found in the images of a set."""
+
+UNSEEN_METRICS: tuple[Metric[Any], ...] = (*IMAGE_METRICS, *MASK_METRICS, *AZIMUTH_METRICS)
+"""Metrics of a test set."""
+
+
 _of_points = partial(Metric[PointMetrics], requires=KNOWN_SURFACE)
 
 
@@ -351,7 +386,7 @@ RUN_METRICS: tuple[Metric[Run], ...] = (
 
 def all_metrics(yardstick: Yardstick) -> tuple[Metric[Any], ...]:
     """Every metric, in the order of tables."""
-    return (*IMAGE_METRICS, *MASK_METRICS, *metrics_of_points(yardstick), *RUN_METRICS)
+    return (*UNSEEN_METRICS, *metrics_of_points(yardstick), *RUN_METRICS)
 
 
 def compute_all(

@@ -51,6 +51,9 @@ class AboutTable(AboutImages, total=False):
     ----------
     table : Path or None
         Table (CSV) with a row for each picture, of stacks for each channel; without it, the only one in the folder.
+    names : str or None
+        Pattern of the pictures' names that holds columns in braces and replaces the table, such as
+        {azimuth}_{grazing}.png; with a slash, of their paths in the folder. Other pictures are left out.
     columns : mapping of str to str or None
         Names of the table's columns by meaning, e.g. az=aspect,graz=elev; meanings are file, azimuth or heading (of the
         flight, degrees clockwise from north), grazing or incidence, spacing, resolution (or azimuth-spacing,
@@ -68,6 +71,7 @@ class AboutTable(AboutImages, total=False):
     """
 
     table: str | Path | None
+    names: str | None
     columns: Mapping[str, str] | None
     target_class: str | None
     target: str | None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +28,8 @@ from sarsplat.importers.pictures import PICTURE_ENDINGS
 from sarsplat.importers.rasters import first_georeference
 from sarsplat.names import Quantity, Side
 
+_COLUMN = re.compile(r"\{([^{}]+)\}")
+"""A column in a pattern of names."""
 _SCALES = 1e-15, 1e15
 """Least and largest scale of pixels; the square of no magnitude leaves float32."""
 _PRODUCTS = {"manifest.safe": "SAFE (Sentinel-1)", "led-al": "CEOS (ALOS)"}
@@ -109,10 +112,12 @@ def read_picture_table(folder: Path, about: AboutPictures, *, compass: bool = Fa
     one outside the folder, has several classes of which none is chosen, or holds an invalid cell.
     """
     inside, named = files_in(folder, "the pictures"), about.get("columns") or {}
-    path = about.get("table")
-    table = read_table(
-        _only_table(folder, inside) if path is None else Path(path), "a table with a row for each picture"
-    )
+    path, names = about.get("table"), about.get("names")
+    if names is None:
+        path = _only_table(folder, inside) if path is None else Path(path)
+        table = read_table(path, "a table with a row for each picture")
+    else:
+        table = _table_of_names(folder, inside if path is None else [Path(path)], names)
     columns = chosen_columns(table, named)
     spacing = about.get("spacing_m") is None and first_georeference(sorted(folder.rglob("*"))) is None
     require(table, columns, about.get("grazing_deg") is None, spacing, about.get("look") is not None)
@@ -182,6 +187,30 @@ def _only_table(folder: Path, files: list[Path]) -> Path:
         number = f"{len(tables)} tables (CSV)" if tables else "no table (CSV) of its pictures"
         raise SarsplatError(f"{folder} has {number}; give the right one as `table`")
     return tables[0]
+
+
+def _table_of_names(folder: Path, files: list[Path], pattern: str) -> CsvTable:
+    """Make the table of the columns in the pictures' names."""
+    *parts, end = _COLUMN.split(pattern)  # texts before columns, and these
+    if not parts or len(set(columns := parts[1::2])) < len(columns) or "file" in columns:
+        raise SarsplatError(
+            f"`names` is {shown(pattern)}; give a name with columns in braces, each once, such as "
+            "{azimuth}_{grazing}.png"
+        )
+    if tables := [path for path in files if path.suffix.lower() == ".csv"]:
+        raise SarsplatError(f"`names` replaces the table {tables[0]}; leave `names` out, or move the table elsewhere")
+    texts = zip(map(re.escape, parts[::2]), columns, strict=True)
+    wanted = re.compile("".join(f"{text}([^/]+?)" for text, _ in texts) + re.escape(end))
+    rows: list[Row] = []
+    for path in sorted(path for path in files if path.suffix.lower() in PICTURE_ENDINGS):
+        inside = path.relative_to(folder).as_posix()
+        if found := wanted.fullmatch(inside if "/" in pattern else path.name):
+            rows.append((len(rows) + 1, {"file": inside, **dict(zip(columns, found.groups(), strict=True))}))
+    if not rows:
+        raise SarsplatError(
+            f"{folder} has no picture with a name like {shown(pattern)}; give a pattern that they match"
+        )
+    return CsvTable(Path(pattern), ("file", *columns), tuple(rows))
 
 
 def _heading(table: CsvTable, columns: Columns, named: Mapping[str, str]) -> str | None:

@@ -15,10 +15,11 @@ from sarsplat.data.image import power_of
 from sarsplat.data.orientation import oriented
 from sarsplat.data.sidecar import read_unplaced, unplaced_in
 from sarsplat.errors import SarsplatError
+from sarsplat.evaluation.azimuths import without_azimuth
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.geometry.view import seen_alike
 from sarsplat.importers.pictures import PICTURE_ENDINGS, read_values
-from sarsplat.names import Side
+from sarsplat.names import Quantity, Side
 from sarsplat.runs import Run
 from sarsplat.samples.chip_set import folder_name
 from sarsplat.samples.measured import datasets_in
@@ -43,12 +44,17 @@ class Chip:
 
 
 def chips_of(
-    images: Iterable[Dataset | str | Path], split: str | None, grazing_deg: float | None, near: Side, like: Run
+    images: Iterable[Dataset | str | Path],
+    split: str | None,
+    grazing_deg: float | None,
+    near: Side,
+    quantity: Quantity | None,
+    runs: Sequence[Run],
 ) -> list[Chip]:
     """Read the images of datasets, of folders of datasets, or of folders of pictures.
 
     Without `split`, training images are left out of datasets that have others. Grazing angles are whole degrees unless
-    given, so that images share renderings. Pictures have the pixels of the run `like`, its side and its tilt.
+    given, so that images share renderings. Pictures have the runs' pixels, and side and tilt of the first.
     """
     found: list[Chip] = []
     for one in images:
@@ -58,7 +64,7 @@ def chips_of(
             for path in datasets_in([Path(one)]):
                 found += _of_dataset(read_dataset(path), split, grazing_deg)
         else:
-            found += _of_pictures(Path(one), grazing_deg, near, like)
+            found += _of_pictures(Path(one), grazing_deg, near, quantity, runs)
     if not found:
         raise SarsplatError(f"there are no images of the set {split or 'test'} to locate; give others, or another set")
     return found
@@ -70,33 +76,31 @@ def _of_dataset(dataset: Dataset, split: str | None, grazing_deg: float | None) 
     grid, target = dataset.grid, folder_name(dataset.target)
     for entry, power in zip(dataset.entries, dataset.power, strict=True):
         if entry.split in chosen:
-            view = _without_azimuth(entry.view, grazing_deg)
+            view = without_azimuth(entry.view, grazing_deg)
             yield Chip(entry.name, power, grid, view, target, entry.view.azimuth_deg)
     for one in unplaced_in(dataset.source, dataset):
         if one["set"] in chosen and dataset.path is not None:
-            view = _without_azimuth(seen_alike(dataset.views, 0.0, one["grazing_deg"]), grazing_deg)
+            view = without_azimuth(seen_alike(dataset.views, 0.0, one["grazing_deg"]), grazing_deg)
             yield Chip(one["name"], read_unplaced(dataset, dataset.path, one["file"]), grid, view, target)
 
 
-def _without_azimuth(view: View, grazing_deg: float | None) -> View:
-    lowest = -89 if view.aloft else 1
-    grazing = float(min(max(round(view.grazing_deg), lowest), 89)) if grazing_deg is None else grazing_deg
-    return replace(view, azimuth_deg=0.0, grazing_deg=grazing, tilt_deg=float(round(view.tilt_deg)))
-
-
-def _of_pictures(folder: Path, grazing_deg: float | None, near: Side, like: Run) -> Iterator[Chip]:
-    """Yield the pictures in a folder: amplitudes if they are whole numbers, or complex."""
+def _of_pictures(
+    folder: Path, grazing_deg: float | None, near: Side, quantity: Quantity | None, runs: Sequence[Run]
+) -> Iterator[Chip]:
+    """Yield the pictures in a folder."""
     paths = sorted(path for path in folder.glob("*") if path.suffix.lower() in PICTURE_ENDINGS)
     if not paths:
         raise SarsplatError(f"{folder} contains neither datasets nor pictures; give a folder that does")
     if grazing_deg is None:
         raise SarsplatError(f"the pictures in {folder} have no grazing angle; give it as `grazing_deg`")
-    view = seen_alike(like.snapshot.views, 0.0, grazing_deg)
+    if len({(run.grid.spacing_m, run.grid.resolution_m) for run in runs}) > 1:
+        raise SarsplatError(f"pictures have the runs' pixels, but these differ; import {folder} as a dataset")
+    view = seen_alike(runs[0].snapshot.views, 0.0, grazing_deg)
     for path in paths:
-        values = read_values(path, None, 1.0, 0.0)
+        values = read_values(path, quantity, 1.0, 0.0)
         power = power_of(values.image) if np.iscomplexobj(values.image) else values.image
         power = oriented(power * np.float32(values.power_factor), near)
-        yield Chip(path.name, power, replace(like.grid, rows=power.shape[0], columns=power.shape[1]), view)
+        yield Chip(path.name, power, replace(runs[0].grid, rows=power.shape[0], columns=power.shape[1]), view)
 
 
 def require_comparable(chips: Sequence[Chip]) -> None:

@@ -13,16 +13,17 @@ import numpy as np
 from sarsplat.arguments import checks_arguments
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError, SarsplatWarning
-from sarsplat.geometry import ImageGrid
+from sarsplat.evaluation.azimuths import around
+from sarsplat.evaluation.matching import Match, Matcher
+from sarsplat.evaluation.templates import Window, extents_m, grid_for, phase_of, templates, window_around
+from sarsplat.geometry import View
 from sarsplat.memory import required
-from sarsplat.names import Side
-from sarsplat.progress import Reporter, progress
+from sarsplat.names import Quantity, Side
+from sarsplat.progress import progress
 from sarsplat.radiometry import to_db
 from sarsplat.recognition.chips import Chip, chips_of, most_per_target, require_comparable
 from sarsplat.recognition.located import Located
-from sarsplat.recognition.matching import Match, Matcher
 from sarsplat.recognition.odds import TEMPERATURE, Calibration
-from sarsplat.recognition.templates import grid_for, templates, window_around
 from sarsplat.runs import Run
 from sarsplat.samples.chip_set import target_of
 
@@ -53,6 +54,7 @@ def locate(
     window_m: float | None = None,
     ground: Literal["learned", "flat"] = "learned",
     near: Side = "top",
+    quantity: Quantity | None = None,
     quiet: bool = True,
 ) -> Located:
     """Find class and azimuth of images: each is compared with every run, rendered from all azimuths.
@@ -79,11 +81,13 @@ def locate(
         Step between azimuths, degrees; it divides 360.
     window_m : float, optional
         Side of the square around the origin in which images are compared, m; by default a rectangle that holds targets
-        and shadows of all runs.
+        and shadows of all runs. Either is cut to what an image and the runs' images show.
     ground : {"learned", "flat"}
         Ground of renderings: as in the training images, which knows the field where they were recorded, or uniform.
     near : {"top", "right", "bottom", "left"}
         Side of pictures that is near the radar.
+    quantity : {"amplitude", "power", "db", "complex"}, optional
+        Quantity of the numbers in pictures; by default inferred as by `import_folder`.
     quiet : bool
         Show no progress.
 
@@ -115,13 +119,13 @@ def locate(
     named = dict(zip(names, map(target_of, opened), strict=True))
     calibration = Calibration(runs=named, settings=settings)
     sources = _listed(calibrate)
-    chips = chips_of(_listed(images), split, grazing_deg, near, opened[0])
+    chips = chips_of(_listed(images), split, grazing_deg, near, quantity, opened)
     labelled: list[Chip] = []
     if len(sources) == 1 and not isinstance(sources[0], Dataset) and Path(sources[0]).suffix == ".json":
         calibration = calibration.read(Path(sources[0]))
     elif sources:
         located = {chip.power.tobytes() for chip in chips}
-        others = chips_of(sources, None, None, near, opened[0])
+        others = chips_of(sources, None, None, near, quantity, opened)
         known = [one for one in others if one.target in calibration.classes and one.power.tobytes() not in located]
         if not known:
             raise SarsplatError("`calibrate` has no image of these classes, besides those to be located; give some")
@@ -129,9 +133,7 @@ def locate(
     every = [*labelled, *chips]
     require_comparable(every)
     _warn_of_far_angles(opened, every)
-    azimuths = np.arange(steps) * 360.0 / steps
-    with progress("locate", len(every) + len({chip.view for chip in every}) * len(opened), quiet) as shows:
-        matches = _matched(opened, every, azimuths, window_m, ground, shows)
+    matches = _matched(opened, every, steps, window_m, ground, quiet)
     if labelled:
         first = _assembled(opened, labelled, matches[: len(labelled)], calibration)
         samples = np.array([samples for _, samples in matches[: len(labelled)]])
@@ -142,32 +144,44 @@ def locate(
 def _matched(
     runs: Sequence[Run],
     chips: Sequence[Chip],
-    azimuths: np.ndarray,
+    steps: int,
     window_m: float | None,
     ground: Literal["learned", "flat"],
-    shows: Reporter,
+    quiet: bool,
 ) -> list[tuple[Match, float]]:
-    """Match every image with every run, view by view; also return the independent samples in the window."""
-    pixels: ImageGrid = max((chip.grid for chip in chips), key=lambda grid: (grid.rows * grid.columns, grid.rows))
-    grids = [pixels, *(chip.grid for chip in chips), *(grid_for(run, pixels) for run in runs)]
+    """Match every image with every run, view by view; also return the independent samples in the window.
+
+    Images that show less than others have smaller windows.
+    """
     matches: dict[int, tuple[Match, float]] = {}
-    for view in sorted({chip.view for chip in chips}, key=str):
-        window = window_around(runs, view, grids, window_m)
-        (rows, columns), (down, across) = window.size, window.margins
-        templates_bytes = _BYTES * len(runs) * len(azimuths) * (rows + 2 * down) * (columns + 2 * across)
-        required("matching images", templates_bytes, "give fewer runs, a larger step_deg or a smaller window_m")
-        views, rendered = [replace(view, azimuth_deg=float(azimuth)) for azimuth in azimuths], []
-        for run in runs:
-            shows.advance(1, f"rendering {target_of(run)}")
-            rendered.append(templates(run, views, window, pixels, ground))
-        matcher, samples = Matcher(rendered, window), replace(pixels, rows=rows, columns=columns).independent_samples
-        for index, chip in enumerate(chips):
-            if chip.view == view:
-                cut = window.cut(chip.power, chip.grid, window.margins)
-                if not cut[down:-down, across:-across].any():
-                    raise SarsplatError(f"{chip.name} is black around its origin; leave it out")
-                matches[index] = matcher(cut), samples
-                shows.advance(1, "matching")
+    groups: dict[tuple[View, tuple[float, float]], list[int]] = {}
+    for index, chip in enumerate(chips):
+        groups.setdefault((chip.view, phase_of(chip.grid)), []).append(index)
+    with progress("locate", len(chips) + len(groups) * len(runs), quiet) as shows:
+        for (view, _), members in sorted(groups.items(), key=str):
+            pixels = chips[members[0]].grid
+            grids = [grid_for(run, pixels) for run in runs]
+            extents = extents_m(runs, view) if window_m is None else [(-window_m / 2, window_m / 2)] * 2
+            windows = {index: window_around(extents, [chips[index].grid, *grids]) for index in members}
+            largest = Window.around([*windows.values()])
+            down, across = largest.margins
+            pixel_count = (largest.size[0] + 2 * down) * (largest.size[1] + 2 * across)
+            needed = _BYTES * len(runs) * steps * pixel_count
+            required("matching images", needed, "give fewer runs, a larger step_deg or a smaller window_m")
+            views, rendered = around(view, steps), []
+            for run, grid in zip(runs, grids, strict=True):
+                shows.advance(1, f"rendering {target_of(run)}")
+                rendered.append(templates(run, views, largest, grid, ground))
+            for window in dict.fromkeys(windows.values()):
+                matcher = Matcher([window.within(largest, one) for one in rendered], window)
+                samples = replace(pixels, rows=window.size[0], columns=window.size[1]).independent_samples
+                for index in (index for index in members if windows[index] == window):
+                    chip = chips[index]
+                    cut = window.cut(chip.power, chip.grid, window.margins)
+                    if not cut[down:-down, across:-across].any():
+                        raise SarsplatError(f"{chip.name} is black around its origin; leave it out")
+                    matches[index] = matcher(cut), samples
+                    shows.advance(1, "matching")
     return [matches[index] for index in range(len(chips))]
 
 

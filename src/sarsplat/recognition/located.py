@@ -11,13 +11,11 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from sarsplat.data.files import write_bytes
+from sarsplat.evaluation.azimuths import CLOSE_DEG, REVERSED_DEG, signed
 from sarsplat.recognition.chips import Chip
 from sarsplat.recognition.odds import Calibration
 from sarsplat.runs import Run
 from sarsplat.samples.encoding import encoded_table
-
-_REVERSED_DEG = 135.0
-"""Error beyond which an azimuth counts as reversed, degrees."""
 
 _SURE = 0.95
 """Odds whose reliability is a score."""
@@ -73,7 +71,7 @@ class Located:
     def azimuth_errors_deg(self) -> Float64[np.ndarray, " n"]:
         """Error of the azimuth given the labelled class, degrees in [−180, 180); NaN where a label is unknown."""
         errors = self._of_label(self.azimuth_deg) - np.array([chip.azimuth_deg for chip in self.chips])
-        return np.where(self.labels < 0, np.nan, (errors + 180) % 360 - 180)
+        return np.where(self.labels < 0, np.nan, signed(errors))
 
     @property
     def relative_azimuth_errors(self) -> Float64[np.ndarray, " k"]:
@@ -102,7 +100,8 @@ class Located:
                 scores["right of these"] = right[claimed >= _SURE].mean()
         if len(errors := errors[np.isfinite(errors)]):
             scores["median azimuth error, °"] = np.median(errors)
-            scores |= {"azimuth within 5°": (errors <= 5).mean(), "reversed": (errors > _REVERSED_DEG).mean()}
+            scores[f"azimuth within {CLOSE_DEG:g}°"] = (errors <= CLOSE_DEG).mean()
+            scores["reversed"] = (errors > REVERSED_DEG).mean()
             scores["azimuth within one standard deviation"] = (np.abs(self.relative_azimuth_errors) <= 1).mean()
         return {name: float(value) for name, value in scores.items()}
 

@@ -11,10 +11,9 @@ from sarsplat.colours import DARK, LIGHT, PREDICTED, RADAR, TRUE
 from sarsplat.data import Dataset
 from sarsplat.errors import counted
 from sarsplat.evaluation import (
-    IMAGE_METRICS,
-    MASK_METRICS,
     NOT_THE_SAME_EXPERIMENT,
     RUN_METRICS,
+    UNSEEN_METRICS,
     Metric,
     Scores,
     Yardstick,
@@ -82,7 +81,7 @@ def score_tables(metrics: Mapping[str, Any], others: Sequence[Scores] = ()) -> l
     tables = []
     for split, values in metrics["images"].items():
         columns = [Scores(whose(metrics), values), *baselines(metrics, split), *others]
-        tables.append(score_table(f"Unseen views: {split}", (*IMAGE_METRICS, *MASK_METRICS), columns, deciding=1))
+        tables.append(score_table(f"Unseen views: {split}", UNSEEN_METRICS, columns, deciding=1))
     visible, whole = metrics["points"]["visible"], metrics["points"]["whole"]
     columns = [
         *(Scores(f"{whose(metrics)}, visible surface", visible), Scores("whole surface", whole, ranked=False)),
@@ -109,9 +108,7 @@ def compared_tables(
     for split in dict.fromkeys(split for metrics in every for split in metrics["images"]):
         of_split = columns(metrics["images"].get(split, {}) for metrics in every)
         beside = {one.name: one for metrics in every for one in baselines(metrics, split)} if ranked else {}
-        tables.append(
-            score_table(f"Unseen views: {split}", (*IMAGE_METRICS, *MASK_METRICS), [*of_split, *beside.values()])
-        )
+        tables.append(score_table(f"Unseen views: {split}", UNSEEN_METRICS, [*of_split, *beside.values()]))
     cells = dict.fromkeys(metrics["parameters"]["yardstick_m"] for metrics in every)
     of_points = [*{metric.key: metric for cell in cells for metric in metrics_of_points(Yardstick(cell))}.values()]
     visible = columns(metrics["points"]["visible"] for metrics in every)

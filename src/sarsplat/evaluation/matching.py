@@ -17,8 +17,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
+from sarsplat.evaluation.templates import COARSE, Window
 from sarsplat.radiometry import DYNAMIC_RANGE_DB, from_db
-from sarsplat.recognition.templates import COARSE, Window
 
 _CANDIDATES, _REVERSED = (12, 3), (6, 1)
 """Number of azimuths whose likelihood is computed, and of those whose displacement is refined: of all, and of those

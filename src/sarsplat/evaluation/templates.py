@@ -35,7 +35,7 @@ _AT_A_TIME = 8
 
 @dataclass(frozen=True)
 class Window:
-    """Rows and columns that are compared, relative to the scene's origin, and their coarse steps of displacement."""
+    """Rows and columns that are compared, relative to the pixel of the scene's origin, and coarse displacements."""
 
     rows: tuple[int, int]
     columns: tuple[int, int]
@@ -60,17 +60,29 @@ class Window:
         (down, across), (row, column) = margins, _origin(grid)
         return images[..., row + top - down : row + bottom + down, column + left - across : column + right + across]
 
+    def within(self, larger: Window, images: Float32[np.ndarray, "v r c"]) -> Float32[np.ndarray, "v m n"]:
+        """Cut the window with its margins out of images that a larger window with its margins has cut."""
+        top, left = self.rows[0] - larger.rows[0], self.columns[0] - larger.columns[0]
+        rows, columns = (side + 2 * margin for side, margin in zip(self.size, self.margins, strict=True))
+        return images[:, top : top + rows, left : left + columns]
 
-def window_around(runs: Sequence[Run], view: View, grids: Sequence[ImageGrid], size_m: float | None) -> Window:
-    """Return the window around the targets and shadows of all runs, or a square, cut to the smallest grid."""
+    @classmethod
+    def around(cls, windows: Sequence[Window]) -> Window:
+        """Return the smallest window that contains windows of equal steps."""
+        rows, columns = np.array([one.rows for one in windows]), np.array([one.columns for one in windows])
+        ends = [(int(spans[:, 0].min()), int(spans[:, 1].max())) for spans in (rows, columns)]
+        return cls(ends[0], ends[1], windows[0].steps)
+
+
+def window_around(extents_m: Sequence[tuple[float, float]], grids: Sequence[ImageGrid]) -> Window:
+    """Return the window of these extents in range and azimuth, cut to all grids; the first is the image's."""
     pixels = grids[0]
     steps = [
         max(1, round(_REACH_CELLS * width / spacing / COARSE))
         for width, spacing in zip(pixels.resolution_m, pixels.spacing_m, strict=True)
     ][::-1]
     spans = []
-    extents = _extents_m(runs, view) if size_m is None else ((-size_m / 2, size_m / 2),) * 2
-    for axis, (low_m, high_m) in enumerate(extents):
+    for axis, (low_m, high_m) in enumerate(extents_m):
         spacing, reach = pixels.spacing_m[1 - axis], COARSE * steps[axis] + 1
         before = min(_origin(grid)[axis] for grid in grids) - reach
         after = min((grid.rows, grid.columns)[axis] - _origin(grid)[axis] for grid in grids) - reach
@@ -84,7 +96,7 @@ def window_around(runs: Sequence[Run], view: View, grids: Sequence[ImageGrid], s
     return Window(spans[0], spans[1], (steps[0], steps[1]))
 
 
-def _extents_m(runs: Sequence[Run], view: View) -> list[tuple[float, float]]:
+def extents_m(runs: Sequence[Run], view: View) -> list[tuple[float, float]]:
     """Return the extent of the runs' targets and shadows in range and azimuth, with a margin, m."""
     views = [replace(view, azimuth_deg=360 * k / _MASKS) for k in range(_MASKS)]
     ends: list[list[float]] = [[], []]
@@ -97,29 +109,55 @@ def _extents_m(runs: Sequence[Run], view: View) -> list[tuple[float, float]]:
     return [(min(one) - margin, max(one) + margin) for one in ends]
 
 
+def _exact_origin(grid: ImageGrid) -> tuple[float, float]:
+    """Row and column of the scene's origin, pixels from the image's corner, to a thousandth."""
+    (across, down), (across_m, down_m) = grid.spacing_m, grid.center_m
+    return round(grid.rows / 2 - down_m / down, 3), round(grid.columns / 2 - across_m / across, 3)
+
+
 def _origin(grid: ImageGrid) -> tuple[int, int]:
-    """Row and column whose near corner is the scene's origin, in whole pixels."""
-    row = grid.rows / 2 - grid.center_m[1] / grid.spacing_m[1]
-    column = grid.columns / 2 - grid.center_m[0] / grid.spacing_m[0]
-    return math.floor(row + 0.5), math.floor(column + 0.5)
+    """Row and column of the pixel that contains the scene's origin."""
+    row, column = _exact_origin(grid)
+    return math.floor(row), math.floor(column)
+
+
+def phase_of(grid: ImageGrid) -> tuple[float, float]:
+    """Place of the scene's origin in its pixel, rows and columns: ½ for odd numbers of pixels around it."""
+    row, column = _exact_origin(grid)
+    return round(row % 1, 3), round(column % 1, 3)
 
 
 def grid_for(run: Run, pixels: ImageGrid) -> ImageGrid:
-    """Return the grid on which a run is rendered: its own, or that of the images if their pixels differ."""
-    own = (run.grid.spacing_m, run.grid.resolution_m) == (pixels.spacing_m, pixels.resolution_m)
-    return run.grid if own else pixels
+    """Return the grid on which a run is rendered: that of the images if their pixels differ, or else its own.
+
+    The latter is displaced by less than a pixel, so that its pixels coincide with those of the images.
+    """
+    own = run.grid
+    if (own.spacing_m, own.resolution_m) != (pixels.spacing_m, pixels.resolution_m):
+        return pixels
+    away, across = np.subtract(phase_of(own), phase_of(pixels)).tolist()
+    (across_m, away_m), (width, height) = own.center_m, own.spacing_m
+    return replace(own, center_m=(across_m + across * width, away_m + away * height)) if away or across else own
 
 
 def templates(
-    run: Run, views: Sequence[View], window: Window, pixels: ImageGrid, ground: Literal["learned", "flat"]
+    run: Run, views: Sequence[View], window: Window, grid: ImageGrid, ground: Literal["learned", "flat"]
 ) -> Float32[np.ndarray, "v m n"]:
     """Render a run from these views: linear power in the window with its margins, at least −40 dB of the mean."""
-    grid = grid_for(run, pixels)
+    if grid != run.grid and run.model is None:
+        raise SarsplatError(
+            f"a run of {run.target} by {run.method} renders only the pixels that it was trained with; give images with "
+            "these, and with rows and columns that are odd where the training's are"
+        )
     images = (
-        run.render(views, None if grid is run.grid else grid) if ground == "learned" else _on_flat(run, views, grid)
+        run.render(views, None if grid == run.grid else grid) if ground == "learned" else _on_flat(run, views, grid)
     )
-    cut = window.cut(images, grid, window.margins)
-    return np.maximum(cut, float(cut.mean(dtype=np.float64)) * from_db(-DYNAMIC_RANGE_DB)).astype(np.float32)
+    return floored(window.cut(images, grid, window.margins))
+
+
+def floored(power: Real[np.ndarray, "v m n"]) -> Float32[np.ndarray, "v m n"]:
+    """Raise power to at least −40 dB of the mean."""
+    return np.maximum(power, float(power.mean(dtype=np.float64)) * from_db(-DYNAMIC_RANGE_DB)).astype(np.float32)
 
 
 @torch.no_grad()

@@ -1,0 +1,90 @@
+"""Azimuths of test images, found by comparing each with predictions from all around."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float64
+
+from sarsplat.data import Dataset
+from sarsplat.errors import SarsplatError
+from sarsplat.evaluation.images import Stack, UndefinedScore
+from sarsplat.evaluation.matching import Matcher
+from sarsplat.evaluation.templates import extents_m, floored, window_around
+from sarsplat.geometry import View
+from sarsplat.runs import Run
+
+STEP_DEG = 3.0
+"""Step between the azimuths of predictions, degrees."""
+
+CLOSE_DEG, REVERSED_DEG = 5.0, 135.0
+"""Error up to which an azimuth counts as found, and beyond which as reversed, degrees."""
+
+FEWEST = 100
+"""Minimum number of images of a set: predictions from all around take as long as theirs, and shares need many."""
+
+
+def around(view: View, count: int) -> list[View]:
+    """Return views that differ in azimuth alone, evenly spaced from 0."""
+    return [replace(view, azimuth_deg=360.0 * k / count) for k in range(count)]
+
+
+def without_azimuth(view: View, grazing_deg: float | None = None) -> View:
+    """Return a view at azimuth 0, its other angles in whole degrees so that images share predictions."""
+    lowest = -89 if view.aloft else 1
+    grazing = float(min(max(round(view.grazing_deg), lowest), 89)) if grazing_deg is None else grazing_deg
+    return replace(view, azimuth_deg=0.0, grazing_deg=grazing, tilt_deg=float(round(view.tilt_deg)))
+
+
+def signed(angles_deg: Float64[np.ndarray, "*n"]) -> Float64[np.ndarray, "*n"]:
+    """Return angles in [−180, 180), degrees."""
+    return (angles_deg + 180) % 360 - 180
+
+
+def azimuth_errors(
+    run: Run, tested: Dataset, predictors: Sequence[Callable[[Sequence[View]], Stack]]
+) -> list[Float64[np.ndarray, " v"]]:
+    """Find the azimuths of test images by predicted images, as `sarsplat.locate` does by those of one run.
+
+    Parameters
+    ----------
+    run : Run
+        Run whose masks say where target and shadow may be.
+    tested : Dataset
+        V images with azimuths.
+    predictors : sequence of function
+        Functions that return linear power [views, rows, columns] of any views, on the grid of the images.
+
+    Returns
+    -------
+    list of numpy.ndarray, float64 [V]
+        Errors by each of them, degrees in [−180, 180).
+
+    Raises
+    ------
+    UndefinedScore
+        If there are few images, or these are too small or black around the origin.
+    """
+    if len(tested) < FEWEST:
+        raise UndefinedScore(f"azimuths are found in sets of at least {FEWEST} images; these are {len(tested)}")
+    found, views = np.empty((len(predictors), len(tested))), [without_azimuth(view) for view in tested.views]
+    for view in dict.fromkeys(views):
+        try:
+            window = window_around(extents_m([run], view), [tested.grid, run.grid])
+        except SarsplatError as error:
+            raise UndefinedScore(str(error)) from error
+        if not (window.cut(tested.power, tested.grid).max(axis=(1, 2)) > 0).all():
+            raise UndefinedScore("an image is black around the origin, where its target would be; remove it")
+        cut, members = (
+            window.cut(tested.power, tested.grid, window.margins),
+            [k for k, one in enumerate(views) if one == view],
+        )
+        for azimuths, predict in zip(found, predictors, strict=True):
+            predicted = predict(around(view, round(360 / STEP_DEG)))
+            if not (inner := window.cut(predicted, tested.grid, window.margins)).any(axis=(1, 2)).all():
+                raise UndefinedScore("the prediction is black around the origin; reconstruct with a noise floor")
+            matcher = Matcher([floored(inner)], window)
+            azimuths[members] = [matcher(cut[k]).azimuth_deg[0] for k in members]
+    return [*signed(found - np.array([view.azimuth_deg for view in tested.views]))]

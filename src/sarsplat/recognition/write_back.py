@@ -1,0 +1,92 @@
+"""Datasets with the azimuths that were found for their images without azimuth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from sarsplat.data import Dataset, DatasetEntry, read_dataset, write_dataset
+from sarsplat.data.sidecar import UNPLACED, read_unplaced, unplaced_in
+from sarsplat.errors import SarsplatError, counted
+from sarsplat.geometry.view import seen_alike
+from sarsplat.recognition.located import Located
+
+_MAX_STD_DEG, _MAX_REVERSED = 10.0, 0.05
+"""Maximum standard deviation of an azimuth that training can refine, degrees, and maximum odds of the reversed one."""
+
+
+def write_back(located: Located, dataset: str | Path, out: str | Path, *, overwrite: bool = False) -> Dataset:
+    """Write a copy of a dataset that includes its images without azimuth, seen from where they were located.
+
+    Each has the azimuth of its labelled class, or else of the class found, with its standard deviation, which training
+    refines. Azimuths in the dataset stay. Images whose azimuth is too uncertain, or that may be reversed, stay without.
+
+    Parameters
+    ----------
+    located : Located
+        Result for this dataset, or others with it.
+    dataset, out : path
+        Folder of the dataset, and that of the copy.
+    overwrite : bool
+        Replace an existing dataset.
+
+    Returns
+    -------
+    Dataset
+        The copy; the added images are its last.
+
+    Raises
+    ------
+    SarsplatError
+        If no image of the dataset gets an azimuth, the dataset is complex, or the copy exists.
+    """
+    before = read_dataset(dataset)
+    if before.signal is not None:
+        raise SarsplatError(
+            f"{dataset} is complex, but its images without azimuth are power; they cannot be added to it"
+        )
+    found = {chip.name: k for k, chip in enumerate(located.chips) if np.isnan(chip.azimuth_deg)}
+    entries, images, left = [], [], []
+    for one in unplaced_in(before.source, before):
+        power, index = read_unplaced(before, Path(dataset), one["file"]), found.get(one["name"])
+        if index is None or not np.array_equal(power, located.chips[index].power) or _uncertain(located, index):
+            left.append((one, power))
+            continue
+        azimuth, std, _ = _given_class(located, index)
+        view = seen_alike(before.views, azimuth, one["grazing_deg"])
+        entries.append(DatasetEntry(view, one["set"], one["name"], max(std, 0.01)))
+        images.append(power)
+    if not entries:
+        raise SarsplatError(
+            f"no image of {dataset} gets an azimuth: none lacks one, was located, and is certain enough"
+        )
+    source = {name: value for name, value in before.source.items() if name != UNPLACED}
+    source["assumptions"] = [
+        *source.get("assumptions", []),
+        f"the azimuths of {counted(len(entries), 'image')} are estimates by locate",
+    ]
+    if left:
+        source[UNPLACED] = [one for one, _ in left]
+    after = replace(
+        before,
+        entries=(*before.entries, *entries),
+        power=np.concatenate([before.power, images]),
+        source=source,
+        path=None,
+    )
+    return write_dataset(out, after, pictures={one["file"]: power for one, power in left}, overwrite=overwrite)
+
+
+def _given_class(located: Located, index: int) -> tuple[float, float, float]:
+    """Return azimuth, its standard deviation, degrees, and odds of the reversed one, by the label or class found."""
+    label = located.labels[index] if located.labels[index] >= 0 else located.found[index]
+    values = (located.azimuth_deg, located.azimuth_std_deg, located.reversed_odds)
+    azimuth, std, reversed_odds = (float(one[index, label]) for one in values)
+    return azimuth, std, reversed_odds
+
+
+def _uncertain(located: Located, index: int) -> bool:
+    _, std, reversed_odds = _given_class(located, index)
+    return std > _MAX_STD_DEG or reversed_odds > _MAX_REVERSED
