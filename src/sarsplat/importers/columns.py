@@ -83,6 +83,9 @@ FACTORS: dict[str, tuple[int, tuple[Quantity, ...]]] = {
 }
 """Meaning → exponent that makes its number a factor on the power, and possible quantities of the pixels."""
 
+_FACTOR_WORDS = {"scale", "gain", "factor", "calfactor", "calibration", "cal"}
+"""Words in columns' names for factors of pictures."""
+
 Columns = dict[str, str]
 """Meaning → name of the column."""
 
@@ -114,6 +117,18 @@ def chosen_columns(table: CsvTable, named: Mapping[str, str]) -> Columns:
             if usual is not None:
                 chosen[meaning] = usual
     return chosen
+
+
+def told_of_factor(meaning: str, name: str) -> str:
+    """Return a sentence on the use of a factor with a meaning of `FACTORS` and this name."""
+    exponent, _ = FACTORS[meaning]
+    return f"power is {'multiplied' if exponent > 0 else 'divided'} by {'the square of ' * (abs(exponent) == 2)}{name}"
+
+
+def unused_factor(table: CsvTable, columns: Columns) -> str | None:
+    """Return a column that is called a factor and has no meaning; None without one."""
+    unused = [name for name in table.columns if name not in columns.values() and _FACTOR_WORDS & set(_words(name))]
+    return next((name for name in unused if any(cells[name] for _, cells in table.rows)), None)
 
 
 def refuse_two_radars(table: CsvTable) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -17,14 +16,13 @@ from sarsplat.data.csv_table import parsed
 from sarsplat.data.files import open_file
 from sarsplat.data.geotiff import UNDEFINED, Georeference, georeference_of, opened_raster
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.importers.columns import FACTORS
 from sarsplat.names import Backscatter
 
 TIFF = (".tif", ".tiff")
 OTHERS = (".png", ".jpg", ".jpeg", ".npy", ".mat")
 """Endings of pictures that are read without GDAL."""
 _SIDECAR = ".aux.xml"
-_FACTORS = {"scale_factor": 2, "calibration_factor": 1}
-"""Names of producers' factors (Capella's on the magnitude, ICEYE's on the power) → exponent for the power."""
 _NORMALISATIONS: dict[str, Backscatter] = dict(beta_nought="beta0", sigma_nought="sigma0", gamma_nought="gamma0")
 _STATED = re.compile(r'"(?:\w+:)?(scale_factor|calibration_factor|radiometry)"\s*:\s*"?([\w.+-]+)', re.IGNORECASE)
 """A factor or its normalisation in JSON, perhaps with a prefix."""
@@ -44,10 +42,10 @@ class Tags:
     """Factor on the pixels."""
     offset: float = 0.0
     """Number added after that."""
-    power_factor: float = 1.0
-    """Factor on the power: the square of a producer's `scale_factor`, or its `calibration_factor`; NaN of several."""
+    factors: tuple[tuple[str, float], ...] = ()
+    """Producers' factors: meaning (of `FACTORS`) and number; more than one contradict each other."""
     backscatter: Backscatter | None = None
-    """Normalisation of that power, if stated."""
+    """Normalisation of the power, if stated."""
     absent: Bool[np.ndarray, "rows columns"] | None = field(default=None, compare=False)
     """Pixels with the value of "no data", or left out by a mask or a band for transparency; None without such."""
 
@@ -78,7 +76,7 @@ def sidecar_scaling(path: Path) -> Tags:
 
 
 def _scaling(path: Path, file: Any, bands: Iterable[int]) -> dict[str, Any]:
-    """Return scale, offset and factor on the power of an open raster, by their names in `Tags`."""
+    """Return scale, offset and producers' factors of an open raster, by their names in `Tags`."""
     stated = {(file.scales[k - 1], file.offsets[k - 1]) for k in bands}
     if len(stated) > 1 or not np.isfinite([*stated]).all():
         raise SarsplatError(
@@ -90,12 +88,14 @@ def _scaling(path: Path, file: Any, bands: Iterable[int]) -> dict[str, Any]:
 
 
 def _calibration(text: str) -> dict[str, Any]:
-    """Return a producer's factor on the power and its normalisation, by tags or the JSON of a description."""
-    stated = {(name.lower(), value.lower()) for name, value in _STATED.findall(text)}
-    numbers = {(name, parsed(value)) for name, value in stated if name in _FACTORS}
-    factor, *others = {number ** _FACTORS[name] for name, number in numbers if 1e-15 <= number <= 1e15} or {1.0}
+    """Return producers' factors and the normalisation of the power, by tags or the JSON of a description."""
+    stated = {(name.lower().replace("_", "-"), value.lower()) for name, value in _STATED.findall(text)}
+    numbers = {(name, parsed(value)) for name, value in stated if name in FACTORS}
     kind = {_NORMALISATIONS.get(value) for name, value in stated if name == "radiometry"} or {None}
-    return {"power_factor": math.nan if others else factor, "backscatter": kind.pop() if len(kind) == 1 else None}
+    return {
+        "factors": tuple(sorted((name, number) for name, number in numbers if 1e-15 <= number <= 1e15)),
+        "backscatter": kind.pop() if len(kind) == 1 else None,
+    }
 
 
 def first_georeference(paths: Iterable[Path]) -> Georeference | None:

@@ -21,6 +21,7 @@ from sarsplat.importers.columns import (
     recognised,
     require,
     require_azimuths,
+    unused_factor,
 )
 from sarsplat.importers.files import files_in, listed_files, warn_caller
 from sarsplat.importers.pictures import PICTURE_ENDINGS
@@ -115,6 +116,14 @@ def read_picture_table(folder: Path, about: AboutPictures, *, compass: bool = Fa
     )
     columns = chosen_columns(table, named)
     spacing = about.get("spacing_m") is None and first_georeference(sorted(folder.rglob("*"))) is None
+    columns = {
+        key: name for key, name in columns.items() if key not in FACTORS or any(row[1][name] for row in table.rows)
+    }
+    if (factor := unused_factor(table, columns)) is not None:
+        warn_caller(
+            f"{table.path} has the column {shown(factor)}, which is not used; if it is a factor on the numbers, name it with "
+            f"`columns={{'scale': '{factor}'}}`, or `columns={{'calibration-factor': '{factor}'}}` if it is on the power"
+        )
     require(table, columns, about.get("grazing_deg") is None, spacing, about.get("look") is not None)
     require_azimuths(table, columns, compass or about.get("azimuth_offset_deg") is not None)
     heading = _heading(table, columns, named)
@@ -252,7 +261,6 @@ def _require_right_angle(table: CsvTable, row: Row, columns: Columns) -> None:
 def _power_factor(table: CsvTable, row: Row, columns: Columns) -> float | None:
     """Return the factor on a row's power; None if no row states one, or a column of scales is named."""
     stated = [(columns[one], power) for one, (power, _) in FACTORS.items() if one in columns and "scale" not in columns]
-    stated = [(column, power) for column, power in stated if any(cells[column] for _, cells in table.rows)]
     if len(stated) > 1:
         raise SarsplatError(
             f"{table.path} states two factors of its pictures, {stated[0][0]} and {stated[1][0]}; remove or rename one"
