@@ -225,7 +225,12 @@ def test_scale_in_a_sidecar(tmp_path, ending):
 @pytest.mark.parametrize(
     ("said", "factor", "by", "kind"),
     [
-        ({"collect": {"image": {"scale_factor": 0.01, "radiometry": "sigma_nought"}}}, 1e-4, ["the square of "], "sigma0"),
+        (
+            {"collect": {"image": {"scale_factor": 0.01, "radiometry": "sigma_nought"}}},
+            1e-4,
+            ["the square of "],
+            "sigma0",
+        ),
         ({"product": [{"iceye:calibration_factor": "2e-6"}]}, 2e-6, [""], None),
         ({"scale_factor": "none", "other": 3}, 1.0, [], None),
     ],

@@ -13,7 +13,7 @@ from sarsplat.names import Quantity
 
 MEANINGS: dict[str, tuple[str, ...]] = {
     "file": ("filename", "path", "image", "imagefile", "imagepath", "chip", "picture"),
-    "azimuth": ("az", "azim", "aspect", "bearing"),
+    "azimuth": ("az", "azim", "aspect"),
     "heading": ("platformheading", "flightheading", "flightdirection", "track", "course"),
     "grazing": ("graz", "elevation", "elev", "el", "depression", "measureddepression"),
     "incidence": ("inc", "incident"),
@@ -152,13 +152,13 @@ def unusual_look(table: CsvTable, row: Row) -> str | None:
     return None
 
 
-def recognised(table: CsvTable, meaning: str, chosen: Columns) -> str | None:
-    """Return the only column with a usual name, or None."""
+def recognised(table: CsvTable, meaning: str, chosen: Columns, *, needed: bool = True) -> str | None:
+    """Return the only column with a usual name, or None; raise if several have one, and it is `needed`."""
     usual = (meaning.replace("-", ""), *MEANINGS[meaning])
     candidates = [name for name in table.columns if _plain(name) in usual and name not in chosen.values()]
     if len(candidates) > 1 and (exact := [name for name in candidates if _plain(name) == usual[0]]):
         candidates = exact
-    if len(candidates) > 1:
+    if len(candidates) > 1 and needed:
         raise SarsplatError(
             f"{table.path} has several columns that may be the {meaning}: {', '.join(map(shown, candidates))}; "
             f"say which with `columns={{'{meaning}': 'NAME'}}`"

@@ -121,7 +121,7 @@ def read_picture_table(folder: Path, about: AboutPictures, *, compass: bool = Fa
     }
     if (factor := unused_factor(table, columns)) is not None:
         warn_caller(
-            f"{table.path} has the column {shown(factor)}, which is not used; if it is a factor on the numbers, name it with "
+            f"{table.path} has the column {shown(factor)}, which is not used; if each picture has a factor, name it with "
             f"`columns={{'scale': '{factor}'}}`, or `columns={{'calibration-factor': '{factor}'}}` if it is on the power"
         )
     require(table, columns, about.get("grazing_deg") is None, spacing, about.get("look") is not None)
@@ -197,7 +197,7 @@ def _heading(table: CsvTable, columns: Columns, named: Mapping[str, str]) -> str
     """Return the column of headings, also beside azimuths, unless only the column of azimuths was named."""
     if "heading" in columns or {"azimuth", "az"} & set(named):
         return columns.get("heading")
-    return recognised(table, "heading", columns)
+    return recognised(table, "heading", columns, needed=False)
 
 
 def _listed(table: CsvTable, row: Row, columns: Columns, heading: str | None, path: Path) -> ListedPicture:
