@@ -16,11 +16,12 @@ import pytest
 pytest.importorskip("h5py")
 pytest.importorskip("sarkit")
 
+from geocoded import write_maps
 from made_imports import AZIMUTHS, NOISY, POWER, THREE, import_pictures, write_passes, write_pictures
 from programs import ROOT
 from rslcs import write_rslc
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import Terrain
+from sarsplat.geometry import ImageGrid, Terrain, View
 from sarsplat.importers import import_rslc, import_sicd, import_stack
 from sicds import SPOT, Recording, Track, write_sicd
 
@@ -149,8 +150,18 @@ def test_remedies_work_when_followed(tmp_path: Path) -> None:
     passes = write_passes(tmp_path / "passes", NOISY, THREE)
     table = passes / "passes.csv"
     table.write_text(table.read_text().replace("view", "shot"))
+    safe = _made(tmp_path / "a.SAFE")
+    (safe / "manifest.safe").touch()
+    views = [View(azimuth, 40.0) for azimuth in AZIMUTHS]
+    maps = write_maps(tmp_path / "maps", POWER, views, ImageGrid(20, 26, (0.5, 0.5), (0.5, 0.5)), 16, 0.5)
     out: dict[str, Any] = {"out": tmp_path / "out", "overwrite": True}
     for do, words, options, remedy in (
+        (
+            partial(import_pictures, resolution_m=(0.5, 0.4), spacing_m=None),
+            "SAFE",
+            {"folder": safe},
+            {"folder": maps, "geocoded": "terrain", "terrain": Terrain(np.zeros((9, 9)), (5.0, 5.0))},
+        ),
         (partial(import_rslc, radar, **out), "is outside", {"size_m": 50.0, "pixel": (99, 3)}, {"pixel": (20, 14)}),
         (partial(import_rslc, radar, **out), "are asked for", {"size_m": 300.0}, {"size_m": 50.0}),
         (partial(import_rslc, radar, **out), "makes", {"size_m": 1.0}, {"size_m": 50.0}),

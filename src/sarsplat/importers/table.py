@@ -121,8 +121,8 @@ def read_picture_table(folder: Path, about: AboutPictures, *, compass: bool = Fa
     }
     if (factor := unused_factor(table, columns)) is not None:
         warn_caller(
-            f"{table.path} has the column {shown(factor)}, which is not used; if each picture has a factor, name it with "
-            f"`columns={{'scale': '{factor}'}}`, or `columns={{'calibration-factor': '{factor}'}}` if it is on the power"
+            f"{table.path} has the column {shown(factor)}, which is not used; if it holds factors, name it with "
+            f"`columns={{'scale': '{factor}'}}`, or `columns={{'calibration-factor': '{factor}'}}` for the power's"
         )
     require(table, columns, about.get("grazing_deg") is None, spacing, about.get("look") is not None)
     require_azimuths(table, columns, compass or about.get("azimuth_offset_deg") is not None)
@@ -184,8 +184,9 @@ def _only_table(folder: Path, files: list[Path]) -> Path:
     products = {kind for path in files for start, kind in _PRODUCTS.items() if path.name.lower().startswith(start)}
     if products and not tables:
         raise SarsplatError(
-            f"{folder} holds a product in {products.pop()}, whose geometry is not read; convert it to SICD, as by "
-            "sarpy, and give that to `sarsplat import sicd`"
+            f"{folder} holds a product in {products.pop()}, whose geometry is not read; make SICD of complex images, as "
+            "by sarpy, for `sarsplat import sicd`, and GeoTIFFs, corrected for terrain, of others (GRD), to be given "
+            "with a table of angles, `geocoded='terrain'` and that `terrain`"
         )
     if len(tables) != 1:
         number = f"{len(tables)} tables (CSV)" if tables else "no table (CSV) of its pictures"
