@@ -70,6 +70,7 @@ class Reader:
 
 
 MAX_BYTES = 1 << 17
+SIGNALLING = b"\x01\0\x80\x7f"  # a NaN that warns when it is cast
 
 # ---- Phoenix ----
 
@@ -374,8 +375,19 @@ READERS = (
     Reader("dataset.json", "set/dataset.json", _read_dataset, _dataset_header, (spoil_json,), prepare_dataset),
     Reader("image.tif", "image.tif", _read_tiff, _tiffs, (_spoil_tiff,)),
     Reader("gaussians.ply", "g.ply", _read_gaussians, lambda: [_gaussians(0), _gaussians(2)], (_ply_fits,)),
-    Reader("g.splat", "g.splat", lambda folder: _finite(read_gaussians_ply(folder / "g.splat")), lambda: [_splat()]),
-    Reader("points.ply", "p.ply", lambda folder: read_points_ply(folder / "p.ply"), lambda: [_points()], (_ply_fits,)),
+    Reader(
+        "g.splat",
+        "g.splat",
+        lambda folder: _finite(read_gaussians_ply(folder / "g.splat")),
+        lambda: [_splat(), SIGNALLING + _splat()[4:]],
+    ),
+    Reader(
+        "points.ply",
+        "p.ply",
+        lambda folder: read_points_ply(folder / "p.ply"),
+        lambda: [_points(), _points()[:-4] + SIGNALLING],
+        (_ply_fits,),
+    ),
     Reader(
         "checkpoint", "c.ckpt", lambda folder: load_checkpoint(folder / "c.ckpt"), _checkpoints, (_spoil_checkpoint,)
     ),

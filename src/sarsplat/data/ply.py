@@ -187,11 +187,12 @@ def _splat_columns(path: Path) -> dict[str, Float64[np.ndarray, " n"]]:
         )
     table = np.frombuffer(data, SPLAT)
     colours = table["rgba"] / 255.0
-    with np.errstate(divide="ignore"):
-        scales = np.log(np.maximum(table["scale"].astype(np.float64), 0.0))
+    with np.errstate(divide="ignore", invalid="ignore"):  # invalid: signalling NaN
+        position, lengths = (table[name].astype(np.float64) for name in ("position", "scale"))
+        scales = np.log(np.maximum(lengths, 0.0))
         logit = np.log(colours[:, 3]) - np.log1p(-colours[:, 3])
     return {
-        **named(("x", "y", "z"), table["position"].astype(np.float64)),
+        **named(("x", "y", "z"), position),
         **named((f"scale_{k}" for k in range(3)), scales),
         **named((f"f_dc_{k}" for k in range(3)), (colours[:, :3] - 0.5) / CONSTANTS[0]),  # harmonic of degree 0
         "opacity": np.clip(logit, -_MAX_LOGIT, _MAX_LOGIT),
