@@ -308,7 +308,8 @@ def _mesh(kind: str) -> list[bytes]:
             return [*plain, ascii_ply.encode(), mixed]
         case "off":
             square = b"OFF\n4 1 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n4 0 1 2 3\n"
-            return [box.export(file_type="off").encode(), square, square.replace(b"1 1 0\n", b".2 .2 0\n")]
+            dented = [square.replace(b"1 1 0\n", corner + b" .2 0\n") for corner in (b".2", b"1e300")]
+            return [box.export(file_type="off").encode(), square, *dented]
     glb = scene.export(file_type="glb")
     return [glb, _instances(glb), _with_fan(glb)]
 
