@@ -221,7 +221,7 @@ def test_scale_in_a_sidecar(tmp_path, ending):
     np.testing.assert_allclose(read_values(path, "power", 1.0, 0.0).image, EIGHT * 0.5 + 3)
 
 
-@pytest.mark.parametrize("compression", [None, "zlib"])
+@pytest.mark.parametrize("compression", [None, "zlib", "beside"])
 @pytest.mark.parametrize(
     ("said", "factor", "by", "kind"),
     [
@@ -236,7 +236,10 @@ def test_scale_in_a_sidecar(tmp_path, ending):
     ],
 )
 def test_factors_of_producers(tmp_path, said, factor, by, kind, compression):
-    path = written(tmp_path, "a.tif", SIXTEEN, description=json.dumps(said), metadata=None, compression=compression)
+    told = {"description": json.dumps(said), "compression": compression} if compression != "beside" else {}
+    path = written(tmp_path, "a.tif", SIXTEEN, metadata=None, **told)
+    if not told:
+        path.with_suffix(".json").write_text(json.dumps(said))
     values = read_values(path, None, 1.0, 0.0)
     assert (values.power_factor, values.tags.backscatter) == (pytest.approx(factor), kind)
     told = [text for text in values.assumptions if "each file's" in text]

@@ -26,6 +26,7 @@ _SIDECAR = ".aux.xml"
 _NORMALISATIONS: dict[str, Backscatter] = dict(beta_nought="beta0", sigma_nought="sigma0", gamma_nought="gamma0")
 _STATED = re.compile(r'"(?:\w+:)?(scale_factor|calibration_factor|radiometry)"\s*:\s*"?([\w.+-]+)', re.IGNORECASE)
 """A factor or its normalisation in JSON, perhaps with a prefix."""
+_LONGEST_JSON = 1 << 22
 _GEO_KEYS = 34735
 _MEANINGS = {274, 33550, 33922, 34264, _GEO_KEYS, 42112, 42113}
 """Tags of orientation, places, scales and "no data"."""
@@ -84,11 +85,14 @@ def _scaling(path: Path, file: Any, bands: Iterable[int]) -> dict[str, Any]:
         )
     ((scale, offset),) = stated
     tags = "\n".join(f'"{name}": "{text}"' for name, text in file.tags().items())
-    return {"scale": scale, "offset": offset, **_calibration(tags)}
+    return {"scale": scale, "offset": offset, **_calibration(path, tags)}
 
 
-def _calibration(text: str) -> dict[str, Any]:
-    """Return producers' factors and the normalisation of the power, by tags or the JSON of a description."""
+def _calibration(path: Path, text: str) -> dict[str, Any]:
+    """Return producers' factors and the normalisation of the power, by tags or the JSON of a description or beside."""
+    if (beside := path.with_suffix(".json")).is_file():
+        with open_file(beside) as file:
+            text += file.read(_LONGEST_JSON).decode("utf-8", "replace")
     stated = {(name.lower().replace("_", "-"), value.lower()) for name, value in _STATED.findall(text)}
     numbers = {(name, parsed(value)) for name, value in stated if name in FACTORS}
     kind = {_NORMALISATIONS.get(value) for name, value in stated if name == "radiometry"} or {None}
@@ -134,7 +138,7 @@ def _plain_tiff(path: Path) -> tuple[Shaped[np.ndarray, "rows columns"], Tags] |
                 pixels, description = _halves(file, page) if halves else page.asarray(), page.description
         except Exception:  # a garbled TIFF can fail anywhere inside the parser, with any exception
             return None
-    return pixels, Tags(**_calibration(description))
+    return pixels, Tags(**_calibration(path, description))
 
 
 def _halves(file: BinaryIO, page: Any) -> Complex64[np.ndarray, "rows columns"]:
