@@ -210,9 +210,9 @@ class Cost:
 
 @contextlib.contextmanager
 def watched() -> Iterator[Cost]:
-    """Measure the block; a hang of 20 s ends the process with a traceback."""
+    """Measure the block; a hang of five minutes ends the process with a traceback."""
     cost = Cost()
-    faulthandler.dump_traceback_later(20, exit=True)
+    faulthandler.dump_traceback_later(300, exit=True)
     Path("/proc/self/clear_refs").write_text("5")  # the peak of the resident memory starts anew (Linux)
     before, begun = _memory("VmRSS"), time.process_time()
     try:

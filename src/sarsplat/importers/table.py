@@ -184,9 +184,9 @@ def _only_table(folder: Path, files: list[Path]) -> Path:
     products = {kind for path in files for start, kind in _PRODUCTS.items() if path.name.lower().startswith(start)}
     if products and not tables:
         raise SarsplatError(
-            f"{folder} holds a product in {products.pop()}, whose geometry is not read; make SICD of complex images, as "
-            "by sarpy, for `sarsplat import sicd`, and GeoTIFFs, corrected for terrain, of others (GRD), to be given "
-            "with a table of angles, `geocoded='terrain'` and that `terrain`"
+            f"{folder} holds a product in {products.pop()}, whose geometry is not read; of complex images make SICD, "
+            "as by sarpy, for `sarsplat import sicd`, of others (GRD) GeoTIFFs corrected for terrain, to be given with "
+            "a table of angles, `geocoded='terrain'` and that `terrain`"
         )
     if len(tables) != 1:
         number = f"{len(tables)} tables (CSV)" if tables else "no table (CSV) of its pictures"
