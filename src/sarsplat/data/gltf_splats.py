@@ -115,8 +115,8 @@ def glb_columns(path: Path) -> dict[str, Float64[np.ndarray, " n"]]:
                         continue
                     parts.append(_part(scene, data[28 + length :], primitive, matrix))
                     count += len(parts[-1]["x"])
-                    if count > len(data) / _LEAST_BYTES:
-                        raise ValueError("a mesh repeated by many nodes")
+                    if count > len(data) / _LEAST_BYTES or len({len(column) for column in parts[-1].values()}) != 1:
+                        raise ValueError("a mesh repeated by many nodes, or attributes of different lengths")
         if len({len(part) for part in parts}) != 1:
             raise ValueError(f"{len(parts)} primitives with {EXTENSION}, of equal degree")
         return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}

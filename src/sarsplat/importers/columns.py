@@ -256,10 +256,9 @@ def _plain(name: str) -> str:
 
 def _require_known(problem: str, name: str, names: Iterable[str]) -> None:
     if name not in names:
-        printable = [one for one in names if one and one.isprintable()]
-        raise SarsplatError(f"{problem} {shown(name)}; {advised(name, printable[:40])}")
+        raise SarsplatError(f"{problem} {shown(name)}; {advised(name, [*filter(None, names)][:40])}")
 
 
 def _has(table: CsvTable) -> str:
-    named = [name if name.isprintable() else shown(name) for name in table.columns if name]
+    named = [*filter(None, table.columns)]
     return ", ".join(named[:20])[:400] + (", …" if len(named) > 20 else "")
