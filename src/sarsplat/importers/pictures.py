@@ -21,14 +21,12 @@ from sarsplat.errors import SarsplatError, shown
 from sarsplat.importers.columns import FACTORS, told_of_factor
 from sarsplat.importers.files import complex_of, require
 from sarsplat.importers.mat import read_mat
-from sarsplat.importers.rasters import OTHERS, TIFF, Tags, read_raster, sidecar_scaling
+from sarsplat.importers.rasters import OTHERS, TIFF, Tags, read_raster, refuse_bomb, sidecar_scaling
 from sarsplat.names import Quantity
 from sarsplat.radiometry import from_db
 
 PICTURE_ENDINGS = (*OTHERS, *TIFF)
 """Usual endings of pictures; others are read by GDAL."""
-_FREE_BYTES, _BYTES_PER_BYTE = 4 << 20, 64
-"""Maximum unpacked size of a picture: bytes, or bytes for each byte of its file if that is more."""
 
 Bands = Literal["real and imaginary part", "amplitude and phase in radians", "amplitude and phase in degrees"]
 _HALF_TURNS: dict[Bands, float] = {"amplitude and phase in radians": math.pi, "amplitude and phase in degrees": 180.0}
@@ -114,10 +112,7 @@ def _picture(path: Path) -> Shaped[np.ndarray, "*shape"]:
         data = file.read()
     try:
         image = Image.open(io.BytesIO(data), formats=("PNG", "JPEG"))
-        if (unpacked := math.prod(image.size) * len(image.getbands()) * 2) > max(
-            _FREE_BYTES, _BYTES_PER_BYTE * len(data)
-        ):
-            raise SarsplatError(f"{path} has {len(data)} bytes but claims to hold {unpacked}; save it again")
+        refuse_bomb(path, math.prod(image.size) * len(image.getbands()))
         refuse_turned(path, image.getexif().get(ExifTags.Base.Orientation, 1))
         if (image.mode == "L" and "transparency" not in image.info) or image.mode[0] in "IF":
             return np.asarray(image)

@@ -27,6 +27,8 @@ _NORMALISATIONS: dict[str, Backscatter] = dict(beta_nought="beta0", sigma_nought
 _STATED = re.compile(r'"(?:\w+:)?(scale_factor|calibration_factor|radiometry)"\s*:\s*"?([\w.+-]+)', re.IGNORECASE)
 """A factor or its normalisation in JSON, perhaps with a prefix."""
 _LONGEST_JSON = 1 << 22
+_FREE_BYTES, _BYTES_PER_BYTE = 4 << 20, 64
+"""Maximum unpacked size of a picture: bytes, or bytes for each byte of its file if that is more."""
 _GEO_KEYS = 34735
 _MEANINGS = {274, 33550, 33922, 34264, _GEO_KEYS, 42112, 42113}
 """Tags of orientation, places, scales and "no data"."""
@@ -56,6 +58,7 @@ def read_raster(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]:
     if path.suffix.lower() in TIFF and (plain := _plain_tiff(path)) is not None:
         return plain
     with opened_raster(path) as file:
+        refuse_bomb(path, file.width * file.height * file.count)
         _require_plain(path, file)
         bands = [k for k, kind in zip(file.indexes, file.colorinterp, strict=True) if kind.name != "alpha"]
         masks = file.read_masks(bands)
@@ -65,6 +68,13 @@ def read_raster(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]:
         pixels = file.read(bands)
         tags = Tags(georeference_of(file), absent=absent if absent.any() else None, **_scaling(path, file, bands))
     return pixels[0] if len(pixels) == 1 else pixels, tags
+
+
+def refuse_bomb(path: Path, values: int) -> None:
+    """Raise if a picture unpacks to far more than its file, as no measured one does."""
+    size = path.stat().st_size
+    if 2 * values > max(_FREE_BYTES, _BYTES_PER_BYTE * size):
+        raise SarsplatError(f"{path} has {size} bytes but claims to hold {2 * values}; save it again")
 
 
 def sidecar_scaling(path: Path) -> Tags:
