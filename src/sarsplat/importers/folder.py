@@ -60,7 +60,7 @@ def import_folder(
         Quantity that scale · pixel + offset is; without it, complex numbers are complex amplitude, whole numbers
         amplitude, and others as a column dn-per-magnitude or dn-per-power says.
     scale : float, optional
-        Factor on the pixels, e.g. 60/255 of decibels in 8 bits: 1, or what each file states. If given, scale, offset
+        Factor on the pixels, e.g. 60/255 of decibels in 8 bits: 1, or the file's own. If given, scale, offset
         and factors of the files do not count.
     offset : float, optional
         Added to the pixels after that; likewise.

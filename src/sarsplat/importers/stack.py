@@ -80,7 +80,7 @@ def import_stack(
         Phases of the level plane z = 0 were taken out. Unless they were, a scatterer at the scene's origin must have
         the same phase in every pass.
     scale : float, optional
-        Factor on the pixels: 1, or what each file states.
+        Factor on the pixels: 1, or the file's own.
     backscatter : {"beta0", "sigma0", "gamma0"}
         Normalisation of the power: σ⁰ and γ⁰ become β⁰ by the factor of level ground.
     overwrite : bool

@@ -185,7 +185,7 @@ def _only_table(folder: Path, files: list[Path]) -> Path:
     if products and not tables:
         raise SarsplatError(
             f"{folder} holds a product in {products.pop()}, whose geometry is not read; of complex images make SICD, "
-            "as by sarpy, for `sarsplat import sicd`, of others (GRD) GeoTIFFs corrected for terrain, to be given with "
+            "as by sarpy, for `sarsplat import sicd`, of GRD GeoTIFFs corrected for terrain, to be given with "
             "a table of angles, `geocoded='terrain'` and that `terrain`"
         )
     if len(tables) != 1:
