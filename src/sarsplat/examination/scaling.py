@@ -157,7 +157,7 @@ def ground_levels_db(dataset: Dataset) -> tuple[Float64[np.ndarray, "3 v"], floa
     """
     flat = np.array([beta0_of_gamma0(1.0, view.grazing_deg) for view in dataset.views])
     levels = to_db(np.quantile(dataset.power, _QUANTILES, axis=(1, 2)) / flat, least=LEAST_POWER)
-    law = to_db(np.sin(np.radians([view.grazing_deg for view in dataset.views])), least=LEAST_POWER)
+    law = to_db(flat / np.hypot(1, flat), least=LEAST_POWER)  # sin θ, for flat is tan θ
     steps, group = np.unique(np.round(law / _LAW_STEP_DB), return_inverse=True)
     at = np.array([(law[group == k].mean(), np.median(levels[:, group == k])) for k in range(len(steps))])
     (run, rise), pairs = at.T[:, :, None] - at.T[:, None, :], np.triu_indices(len(at), 1)
