@@ -9,7 +9,7 @@
 #              QUICK=1 tries it in minutes, ONLY="density loss" runs some; those with measured chips need CHIPS, LABELS and
 #              MASKS: the folder of MSTAR chips, their table and the folder of their masks
 # make chips   what generated chips are worth to a classifier, with CHIPS and LABELS of MSTAR's ten classes (hours; resumable)
-# make fuzz    malformed files for every reader; make sanitize  the engine under ASan and UBSan (needs Debian's clang-19)
+# make fuzz    malformed files for every reader (COUNT=40000 of each: resumable, hours); make sanitize  the engine under ASan and UBSan (needs Debian's clang-19)
 # make wheels  a wheel for every platform in dist/ (four minutes the first time)
 # make check-wheel  their contents; this machine's wheel is installed into an empty environment and tested there
 # make docs    the documentation as a site, site/index.html, its tutorials executed (minutes the first time)
@@ -83,7 +83,7 @@ check: $(TEST_READY)
 # Guided by coverage where atheris can be installed, by chance elsewhere.
 fuzz: $(TEST_READY)
 	-$(BIN)/python -m pip install --quiet -c constraints.txt atheris
-	$(BIN)/python tests/fuzz.py --inputs 2000
+	$(BIN)/python tests/fuzz.py $(if $(COUNT),--inputs $(COUNT) --keep build/fuzz)
 
 sanitize: $(TEST_READY)
 	$(BIN)/python tests/sanitize.py

@@ -1,8 +1,9 @@
-"""Fuzz every reader of files: python tests/fuzz.py [--inputs 2000] [--seed 0] [reader …]
+"""Fuzz every reader of files: python tests/fuzz.py [--inputs 2000] [--seed 0] [--keep FOLDER] [reader …]
 
-Each reader runs in a process of its own, guided by coverage if atheris is installed. An input may be read or refused
+Each reader runs in processes of its own, guided by coverage if atheris is installed. An input may be read or refused
 with one sentence; anything else, more than a second, or more memory than 4 × its size + 64 MiB is a failure. Failing
-inputs are kept. Prints a table, and exits with code 1 if there was a failure.
+inputs are kept. Prints a table, and exits with code 1 if there was a failure. With a folder to keep, it can be ended at
+any time: the same command goes on from the last round of every reader.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import argparse
 import contextlib
 import faulthandler
 import json
+import math
 import random
 import subprocess
 import sys
@@ -27,6 +29,8 @@ if TYPE_CHECKING:
 
 _MAX_SECONDS = 1.0
 _FREE_BYTES = 64 << 20
+_ROUND = 2000
+"""Inputs of one process."""
 _INSTRUMENTED = ["sarsplat.data", "sarsplat.importers", "sarsplat.runs.run", "sarsplat.scenes", "tifffile", "trimesh"]
 
 
@@ -40,6 +44,14 @@ class Tally:
     failed: int = 0
     slowest_s: float = 0.0
     max_mib: float = 0.0
+    rounds: int = 0
+
+    def add(self, other: Tally) -> None:
+        """Add another round."""
+        self.tried, self.refused = self.tried + other.tried, self.refused + other.refused
+        self.accepted, self.failed = self.accepted + other.accepted, self.failed + other.failed
+        self.slowest_s, self.max_mib = max(self.slowest_s, other.slowest_s), max(self.max_mib, other.max_mib)
+        self.rounds += 1
 
 
 def main() -> int:
@@ -47,23 +59,36 @@ def main() -> int:
     parser.add_argument("readers", nargs="*")
     parser.add_argument("--inputs", type=int, default=2000, help="for each reader")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--keep", type=Path, default=Path(tempfile.gettempdir()) / "sarsplat-fuzz")
+    parser.add_argument("--keep", type=Path, help="folder of failing inputs, from which a later run goes on")
     parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    arguments.keep.mkdir(exist_ok=True)
+    arguments.keep = arguments.keep or Path(tempfile.mkdtemp(prefix="sarsplat-fuzz-"))
+    arguments.keep.mkdir(parents=True, exist_ok=True)
     if arguments.worker:
         work(arguments.readers[0], arguments.inputs, arguments.seed, arguments.keep)
         return 0
     from fuzz_inputs import READERS
 
     names = arguments.readers or [reader.name for reader in READERS]
+    totals = {name: _tally(arguments.keep, name, "total") for name in names}
+    for number in range(math.ceil(arguments.inputs / _ROUND)):
+        for name, total in totals.items():
+            if total.rounds == number:
+                total.add(_in_process(name, number, arguments))
+                _file(arguments.keep, name, "total").write_text(json.dumps(asdict(total)))
     print(f"{'reader':<15}{'tried':>8}{'refused':>9}{'accepted':>9}{'failures':>9}{'slowest':>10}{'most memory':>13}")
-    failed = 0
-    for name in names:
-        tally = _in_process(name, arguments)
-        show(name, tally)
-        failed += tally.failed
-    return int(failed > 0)
+    for name, total in totals.items():
+        show(name, total)
+    return int(any(total.failed for total in totals.values()))
+
+
+def _file(keep: Path, name: str, ending: str) -> Path:
+    return keep / f"{name.replace(' ', '-')}.{ending}"
+
+
+def _tally(keep: Path, name: str, ending: str) -> Tally:
+    file = _file(keep, name, ending)
+    return Tally(**json.loads(file.read_text())) if file.exists() else Tally()
 
 
 def show(name: str, tally: Tally) -> None:
@@ -74,18 +99,20 @@ def show(name: str, tally: Tally) -> None:
     )
 
 
-def _in_process(name: str, arguments: argparse.Namespace) -> Tally:
-    """The tally of a worker; one that dies, of a crash or a hang, is a failure."""
-    slug = name.replace(" ", "-")
-    log, tally = arguments.keep / f"{slug}.log", arguments.keep / f"{slug}.tally"
-    tally.unlink(missing_ok=True)
-    with log.open("wb") as output:
-        command = [sys.executable, __file__, "--worker", name]
-        options = ["--inputs", str(arguments.inputs), "--seed", str(arguments.seed), "--keep", str(arguments.keep)]
-        code = subprocess.run([*command, *options], stdout=output, stderr=output, check=False).returncode
-    found = Tally(**json.loads(tally.read_text())) if tally.exists() else Tally()
+def _in_process(name: str, number: int, arguments: argparse.Namespace) -> Tally:
+    """The tally of a worker's round; one that dies, of a crash or a hang, is a failure."""
+    keep, log = arguments.keep, _file(arguments.keep, name, "log")
+    _file(keep, name, "tally").unlink(missing_ok=True)
+    inputs = min(_ROUND, arguments.inputs - number * _ROUND)
+    with log.open("ab") as output:
+        command = [sys.executable, __file__, "--worker", name, "--inputs", str(inputs)]
+        command += ["--seed", str(arguments.seed + number), "--keep", str(keep)]
+        code = subprocess.run(command, stdout=output, stderr=output, check=False).returncode
+    found = _tally(keep, name, "tally")
     if code:
-        print(f"{name}: the process ended with code {code}; see {log} and {arguments.keep}/{slug}.current", flush=True)
+        dead = _file(keep, name, f"dead-{number}")
+        print(f"{name}: the process ended with code {code}; see {log} and {dead}", flush=True)
+        _file(keep, name, "current").rename(dead)
         found.failed += 1
     return found
 
@@ -100,20 +127,20 @@ def work(name: str, inputs: int, seed: int, keep: Path) -> None:
         import fuzz_inputs
 
     reader = next(reader for reader in fuzz_inputs.READERS if reader.name == name)
-    tally, slug = Tally(), name.replace(" ", "-")
+    tally = Tally()
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
         reader.prepare(place)
 
         def one(data: bytes) -> None:
-            (keep / f"{slug}.current").write_bytes(data)
+            _file(keep, name, "current").write_bytes(data)
             fault = judge(reader, place, data, tally)
             if fault:
-                kept = keep / f"{slug}-{tally.failed}"
+                kept = _file(keep, name, f"{seed}-{tally.failed}")
                 kept.write_bytes(data)
                 print(f"FAILURE {kept}: {fault}", file=sys.stderr, flush=True)
             if tally.tried % 100 == 0 or tally.tried == inputs:
-                (keep / f"{slug}.tally").write_text(json.dumps(asdict(tally)))
+                _file(keep, name, "tally").write_text(json.dumps(asdict(tally)))
 
         seeds = reader.seeds()
         if atheris is None:
@@ -183,9 +210,9 @@ class Cost:
 
 @contextlib.contextmanager
 def watched() -> Iterator[Cost]:
-    """Measure the block; a hang of 20 s ends the process with a traceback."""
+    """Measure the block; a hang of five minutes ends the process with a traceback."""
     cost = Cost()
-    faulthandler.dump_traceback_later(20, exit=True)
+    faulthandler.dump_traceback_later(300, exit=True)
     Path("/proc/self/clear_refs").write_text("5")  # the peak of the resident memory starts anew (Linux)
     before, begun = _memory("VmRSS"), time.process_time()
     try:

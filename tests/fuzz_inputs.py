@@ -36,6 +36,7 @@ from sarsplat.data import (
     write_gaussians_ply,
     write_points_ply,
 )
+from sarsplat.data.gltf_splats import glb_bytes
 from sarsplat.data.ply import SPLAT
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, View
@@ -70,6 +71,7 @@ class Reader:
 
 
 MAX_BYTES = 1 << 17
+SIGNALLING = b"\x01\0\x80\x7f"  # a NaN that warns when it is cast
 
 # ---- Phoenix ----
 
@@ -160,13 +162,13 @@ def _read_tiff(folder: Path) -> object:
 # ---- PLY ----
 
 
-def _gaussians(degree: int) -> bytes:
+def _gaussians(degree: int, glb: bool = False) -> bytes:
     g = torch.Generator().manual_seed(degree)
     some = Gaussians(
         torch.randn(5, 3, generator=g), torch.randn(5, 4, generator=g), torch.rand(5, 3, generator=g) + 0.1,
         torch.rand(5, generator=g), Harmonics(torch.randn(5, (degree + 1) ** 2, generator=g), 0.05),
     )  # fmt: skip
-    return written(lambda path: write_gaussians_ply(path, some))
+    return glb_bytes(some, "db") if glb else written(lambda path: write_gaussians_ply(path, some))
 
 
 def _points() -> bytes:
@@ -202,8 +204,8 @@ def _splat() -> bytes:
     return table.tobytes()
 
 
-def _read_gaussians(folder: Path) -> object:
-    return _finite(read_gaussians_ply(folder / "g.ply"))
+def _gaussians_reader(name: str, seeds: Callable[[], list[bytes]], *mutations: Mutation) -> Reader:
+    return Reader(name, name, lambda folder: _finite(read_gaussians_ply(folder / name)), seeds, mutations)
 
 
 def _finite(gaussians: Gaussians) -> object:
@@ -307,7 +309,8 @@ def _mesh(kind: str) -> list[bytes]:
             return [*plain, ascii_ply.encode(), mixed]
         case "off":
             square = b"OFF\n4 1 0\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n4 0 1 2 3\n"
-            return [box.export(file_type="off").encode(), square, square.replace(b"1 1 0\n", b".2 .2 0\n")]
+            dented = [square.replace(b"1 1 0\n", corner + b" .2 0\n") for corner in (b".2", b"1e300")]
+            return [box.export(file_type="off").encode(), square, *dented]
     glb = scene.export(file_type="glb")
     return [glb, _instances(glb), _with_fan(glb)]
 
@@ -373,9 +376,16 @@ READERS = (
     Reader("phoenix", "HB00001.000", _read_phoenix, lambda: [phoenix_bytes()], (_phoenix_fits,)),
     Reader("dataset.json", "set/dataset.json", _read_dataset, _dataset_header, (spoil_json,), prepare_dataset),
     Reader("image.tif", "image.tif", _read_tiff, _tiffs, (_spoil_tiff,)),
-    Reader("gaussians.ply", "g.ply", _read_gaussians, lambda: [_gaussians(0), _gaussians(2)], (_ply_fits,)),
-    Reader("g.splat", "g.splat", lambda folder: _finite(read_gaussians_ply(folder / "g.splat")), lambda: [_splat()]),
-    Reader("points.ply", "p.ply", lambda folder: read_points_ply(folder / "p.ply"), lambda: [_points()], (_ply_fits,)),
+    _gaussians_reader("gaussians.ply", lambda: [_gaussians(0), _gaussians(2)], _ply_fits),
+    _gaussians_reader("gaussians.glb", lambda: [_gaussians(1, glb=True)], _spoil_glb),
+    _gaussians_reader("g.splat", lambda: [_splat(), SIGNALLING + _splat()[4:]]),
+    Reader(
+        "points.ply",
+        "p.ply",
+        lambda folder: read_points_ply(folder / "p.ply"),
+        lambda: [_points(), _points()[:-4] + SIGNALLING],
+        (_ply_fits,),
+    ),
     Reader(
         "checkpoint", "c.ckpt", lambda folder: load_checkpoint(folder / "c.ckpt"), _checkpoints, (_spoil_checkpoint,)
     ),

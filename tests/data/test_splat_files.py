@@ -1,14 +1,18 @@
 """Gaussians of other programs: `.splat`, line ends, and rows that are not numbers."""
 
+import json
+import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from sarsplat.data import read_gaussians_ply
+from sarsplat.data import read_gaussians_ply, write_gaussians_ply
+from sarsplat.data.gltf_splats import glb_bytes
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians
+from sarsplat.gaussians.gaussians import covariance
 from sarsplat.gaussians.law_harmonics import CONSTANTS
 
 COUNT = 300
@@ -52,6 +56,49 @@ def test_filters_of_mip_splatting_are_folded_in_and_flat_gaussians_named(tmp_pat
     torch.testing.assert_close(1 - torch.exp(-read.optical_depth), opacity)
     with pytest.raises(SarsplatError, match=r"flat Gaussians \(2DGS\), which have no scale_2; add it"):
         read_gaussians_ply(write(tmp_path / "a.ply", {name: one for name, one in table.items() if name != "scale_2"}))
+
+
+def in_glb(path: Path, gaussians: Gaussians, **node: list[float]) -> dict:
+    """Write a file whose node has this transformation, and return its scene."""
+    data = glb_bytes(gaussians, "db")
+    length = int.from_bytes(data[12:16], "little")
+    scene = json.loads(data[20 : 20 + length])
+    scene["nodes"][0] |= node
+    text = json.dumps(scene).encode()
+    text += b" " * (-len(text) % 4)
+    path.write_bytes(data[:12] + struct.pack("<I", len(text)) + data[16:20] + text + data[20 + length :])
+    return scene
+
+
+def test_gaussians_in_gltf_are_those_of_the_ply(tmp_path):
+    """Valid for another reader, y up, with the same colours from every direction, also where a node moves them."""
+    trimesh = pytest.importorskip("trimesh")
+    gaussians = read_gaussians_ply(write(tmp_path / "a.ply", columns(3)))
+    write_gaussians_ply(tmp_path / "ours.ply", gaussians)
+    plain = (tmp_path / "ours.ply").read_bytes().replace(b"comment sarsplat gaussians 2\n", b"")
+    (tmp_path / "shades.ply").write_bytes(plain)  # as viewers read it
+    shades = read_gaussians_ply(tmp_path / "shades.ply")
+    scene = in_glb(tmp_path / "a.glb", gaussians)
+    assert scene["meshes"][0]["extras"]["harmonics"].startswith("colours: gamma0 in dB, black = ")
+    (cloud,) = trimesh.load_scene(tmp_path / "a.glb").geometry.values()
+    np.testing.assert_allclose(cloud.vertices, gaussians.means.numpy()[:, [0, 2, 1]] * (1, 1, -1), rtol=1e-6)
+    read = read_gaussians_ply(tmp_path / "a.glb")
+    half = np.sqrt(0.5)
+    in_glb(tmp_path / "b.glb", gaussians, translation=[0, 3, 0], scale=[2, 2, 2], rotation=[0, half, 0, half])
+    moved = read_gaussians_ply(tmp_path / "b.glb")  # 90° about the vertical axis, which is y in the file
+    turned = shades.means[:, [1, 0, 2]] * torch.tensor([-1.0, 1, 1])
+    directions = torch.nn.functional.normalize(torch.randn(50, 3, generator=torch.Generator().manual_seed(0)), dim=1)
+    for one, means, seen in ((read, shades.means, directions), (moved, 2 * turned + torch.tensor([0, 0, 3.0]), None)):
+        torch.testing.assert_close(one.means, means, rtol=1e-5, atol=1e-5)
+        torch.testing.assert_close(one.optical_depth, shades.optical_depth, rtol=1e-3, atol=1e-4)
+        from_there = directions if seen is not None else directions[:, [1, 0, 2]] * torch.tensor([1.0, -1, 1])
+        torch.testing.assert_close(one.gamma0(directions), shades.gamma0(from_there), rtol=1e-3, atol=1e-4)
+    shapes = [covariance(one.quaternions, one.scales) for one in (read, shades)]
+    torch.testing.assert_close(*shapes, rtol=1e-4, atol=1e-6)
+    for node in ({"scale": [1, 2, 1]}, {"scale": [-1, 1, 1]}, {"rotation": [0, 0, 0, 0]}):
+        in_glb(tmp_path / "c.glb", gaussians, **node)
+        with pytest.raises(SarsplatError, match=r"cannot be read as Gaussians in glTF \(.*; write it as a PLY of 3DGS"):
+            read_gaussians_ply(tmp_path / "c.glb")
 
 
 @pytest.mark.parametrize("ends", ["\r\n", "\r"])

@@ -14,7 +14,9 @@ from test_contradictions import with_views
 from geocoded import on_map
 from made import dataset_of, lorry
 from sarsplat import SarsplatWarning, ScatteringLaw, add_speckle, examine, import_folder, import_mstar, simulate_raycast
-from sarsplat.data import Dataset
+from sarsplat.cli import main
+from sarsplat.cli.from_signature import CONTRADICTED
+from sarsplat.data import Dataset, DatasetEntry, read_dataset, write_dataset
 from sarsplat.examination.outcome import Examination
 from sarsplat.examination.plausible import repeated_images
 from sarsplat.examination.scaling import examine_cut_off, examine_scaling, share_at_top
@@ -100,6 +102,32 @@ def test_pictures_that_are_stretched_one_by_one(by):
 def test_one_picture_of_another_scale_is_named(factor):
     (said,) = scaled(with_copy(pictures(), factor * pictures().power[7]))
     assert re.match(f"the ground of 007 is (9.9|10.[01]) dB {'darker' if factor < 1 else 'brighter'}", said)
+
+
+@pytest.mark.parametrize("grazings", [(30,), (20, 40, 60), (20, 30, 40, 50, 60)])
+@pytest.mark.parametrize("power", [-1, 0, 4])
+def test_levels_that_follow_the_grazing_angle(tmp_path, grazings, power):
+    """A law of the ground passes; a scale beyond any law is told, and levelled to this law by the command it names."""
+    angles = [grazings[k % len(grazings)] for k in range(COUNT)]
+    sines = np.sin(np.radians(angles))
+    law = (sines**power * sines / np.sqrt(1 - sines**2))[:, None, None].astype(np.float32)
+    entries = tuple(DatasetEntry(View(30.0 * k, float(angle)), "train", str(k)) for k, angle in enumerate(angles))
+    real = replace(pictures(), entries=entries, power=pictures().power * law)
+    assert scaled(real) == []
+    rng = np.random.default_rng(0)
+    for wrong_db in (30 * (np.arange(COUNT) % 2), 10 * rng.normal(size=COUNT), -32 * np.log10(sines / sines.min()) * 3):
+        if not np.ptp(wrong_db):
+            continue  # one grazing angle
+        wrong = (10 ** (wrong_db / 10)).astype(np.float32)[:, None, None]
+        write_dataset(tmp_path / "in", replace(real, power=real.power * wrong), overwrite=True)
+        (said,) = scaled(read_dataset(tmp_path / "in"))
+        (options,) = re.findall(r"`sarsplat check DATASET (--levelled) OUT`", said)
+        assert main(["check", str(tmp_path / "in"), options, str(tmp_path / "out"), "--overwrite"]) == CONTRADICTED
+        copy = read_dataset(tmp_path / "out")
+        assert scaled(copy) == []
+        left_db = 10 * np.log10(np.median(copy.power / real.power, axis=(1, 2)))
+        slope = np.polyfit(np.log10(sines), left_db, 1)[0] if np.ptp(sines) else 0.0
+        assert np.std(left_db - slope * np.log10(sines)) < 0.3
 
 
 def with_copy(dataset: Dataset, copy: np.ndarray) -> Dataset:

@@ -206,7 +206,9 @@ def test_scale_and_offset_of_the_file(tmp_path):
     values = read_values(path, "db", 1.0, 0.0)
     np.testing.assert_allclose(values.image, 10 ** ((EIGHT * 0.25 - 60) / 10), rtol=1e-5)
     assert values.assumptions == ("pixels are multiplied by 0.25, and -60 is added, as the files say",)
-    np.testing.assert_allclose(read_values(path, "db", 0.1, 0.0).image, 10 ** (EIGHT * 0.1 / 10), rtol=1e-5)
+    given = read_values(path, "db", 0.1, 0.0, own=False)
+    np.testing.assert_allclose(given.image, 10 ** (EIGHT * 0.1 / 10), rtol=1e-5)
+    assert given.assumptions == ("the files state scales or factors, which are not used, for others are given",)
     with pytest.raises(SarsplatError, match=r"names \[\(inf, -60\.0\)\] as scale and offset"):
         read_picture(tagged(tmp_path, EIGHT, (42112, "s", 0, text.replace("0.25", "inf"), True)))
 
@@ -219,21 +221,30 @@ def test_scale_in_a_sidecar(tmp_path, ending):
     np.testing.assert_allclose(read_values(path, "power", 1.0, 0.0).image, EIGHT * 0.5 + 3)
 
 
-@pytest.mark.parametrize("compression", [None, "zlib"])
+@pytest.mark.parametrize("compression", [None, "zlib", "beside"])
 @pytest.mark.parametrize(
-    ("said", "factor", "kind"),
+    ("said", "factor", "by", "kind"),
     [
-        ({"collect": {"image": {"scale_factor": 0.01, "radiometry": "sigma_nought"}}}, 1e-4, "sigma0"),
-        ({"product": [{"iceye:calibration_factor": "2e-6"}]}, 2e-6, None),
-        ({"scale_factor": "none", "other": 3}, 1.0, None),
+        (
+            {"collect": {"image": {"scale_factor": 0.01, "radiometry": "sigma_nought"}}},
+            1e-4,
+            ["the square of "],
+            "sigma0",
+        ),
+        ({"product": [{"iceye:calibration_factor": "2e-6"}]}, 2e-6, [""], None),
+        ({"scale_factor": "none", "other": 3}, 1.0, [], None),
     ],
 )
-def test_factors_of_producers(tmp_path, said, factor, kind, compression):
-    path = written(tmp_path, "a.tif", SIXTEEN, description=json.dumps(said), metadata=None, compression=compression)
+def test_factors_of_producers(tmp_path, said, factor, by, kind, compression):
+    told = {"description": json.dumps(said), "compression": compression} if compression != "beside" else {}
+    path = written(tmp_path, "a.tif", SIXTEEN, metadata=None, **told)
+    if not told:
+        path.with_suffix(".json").write_text(json.dumps(said))
     values = read_values(path, None, 1.0, 0.0)
     assert (values.power_factor, values.tags.backscatter) == (pytest.approx(factor), kind)
-    assert read_values(path, None, 2.0, 0.0).power_factor == 1.0
-    assert read_values(path, None, 1.0, 0.0, own=False).power_factor == 1.0  # of a table with scales for some
+    told = [text for text in values.assumptions if "each file's" in text]
+    assert [text.split("multiplied by ")[1].split("each")[0] for text in told] == by
+    assert read_values(path, None, 1.0, 0.0, own=False).power_factor == 1.0  # another is given
 
 
 def test_complex_numbers_of_halves_and_bytes(tmp_path):

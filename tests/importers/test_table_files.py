@@ -61,7 +61,8 @@ def test_incidence_angles_in_radians_and_azimuths_in_thousandths(tmp_path):
             "'Azimuth .mil.' for the azimuth, whose name does not state one",
         ),
         ("azimuth_m", {}, "'azimuth_m' for the azimuth, whose name does not state one unit of angle; give degrees"),
-        ("bearing", {}, "'bearing' for the azimuth, a direction of sight by its name"),
+        ("bearing", {}, r"looks like the azimuth; name it with .* \(there are file, bearing, grazing\)"),
+        ("bearing", {"azimuth": "bearing"}, "'bearing' for the azimuth, a direction of sight by its name"),
         ("Track", {"azimuth": "Track"}, "columns={'heading': 'Track'}` and give `look`, or rename it"),
         ("compass_deg", {"azimuth": "compass_deg"}, "'compass_deg' for the azimuth, which counts from north"),
     ],
@@ -73,6 +74,18 @@ def test_columns_that_say_that_they_are_no_degrees_from_the_nose(tmp_path, named
     if "north" in sentence:
         turned = import_pictures(folder, columns=columns, azimuth_offset_deg=-30)
         assert [view.azimuth_deg for view in turned.views] == [330, 60, 150, 240]
+
+
+@pytest.mark.parametrize(
+    ("names", "look"),
+    [("azimuth,track,course,bearing", None), ("heading,bearing", "right"), ("heading,az,aspect", "left")],
+)
+def test_columns_that_are_not_needed_block_no_table(tmp_path, names, look):
+    cells = {"azimuth": 0, "track": 90, "course": 91, "heading": 90 if look == "right" else -90}
+    rows = [[k, *(angle + cells.get(name, 180) for name in names.split(",")), 30] for k, angle in enumerate(ANGLES)]
+    folder = write_pictures(tmp_path / "in", POWER, rows, f"file,{names},grazing")
+    columns = {"heading": "heading"} if "aspect" in names else None
+    assert [view.azimuth_deg for view in import_pictures(folder, look=look, columns=columns).views] == list(ANGLES)
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ def check(
     *,
     out: OptionalFile = None,
     images: int = 12,
+    levelled: OptionalFile = None,
     verbose: bool = False,
     overwrite: bool = False,
 ) -> int:
@@ -37,18 +38,23 @@ def check(
         +x: of a vehicle its nose, of a place on earth a compass bearing.
     images
         Number of images on the sheet, evenly chosen.
+    levelled
+        Also write a copy of the dataset (a folder) whose images have one scale, by the level of their ground.
     verbose
         Also list the evidence for each of the eight orientations of the images.
     overwrite
-        Replace an existing sheet.
+        Replace an existing sheet or copy.
     """
-    from sarsplat.data import read_dataset, write_bytes
+    from sarsplat.data import read_dataset, write_bytes, write_dataset
+    from sarsplat.examination import scaling
     from sarsplat.examination.contradictions import TWINS, examine
     from sarsplat.examination.plausible import left_open, suspicious_angles
 
     if out is not None:
         require_ending("out", out, ".png")
         refuse_existing(out, overwrite)
+    if levelled is not None:
+        refuse_existing(levelled, overwrite)
     read = read_dataset(dataset)
     with console.busy(f"looking at {counted(len(read), 'image')} of {dataset}"):
         examined = examine(read)
@@ -71,6 +77,9 @@ def check(
         console.complain(text)
     if out is not None:
         console.say(f"wrote {out}")
+    if levelled is not None:
+        copy = write_dataset(levelled, scaling.levelled(read), overwrite=overwrite)
+        console.say(f"wrote {levelled}: {copy.source['assumptions'][-1]}; next: sarsplat check {levelled}")
     if examined.contradictions:
         console.say(f"{counted(len(examined.contradictions), 'contradiction')} found")
         return CONTRADICTED

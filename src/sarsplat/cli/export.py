@@ -34,14 +34,15 @@ def export(
     Parameters
     ----------
     run
-        Folder written by `sarsplat reconstruct`, or a PLY or .splat file of Gaussians; for layover and shadow also a
-        GeoTIFF of heights.
+        Folder written by `sarsplat reconstruct`, or a PLY, .splat or .glb file of Gaussians; for layover and shadow
+        also a GeoTIFF of heights.
     file
         File to write. Its ending decides the format: .ply (Gaussians, unless --format says otherwise); .splat
-        (Gaussians); .glb, .obj, .stl (a mesh); .las, .laz (points); .tif (a map of the surface from above: dsm.tif,
-        gamma0.tif or layover-shadow.tif, or by any name with --format); .geojson (the outline of points on a map).
+        (Gaussians); .glb (a mesh, or Gaussians by --format gaussians); .obj, .stl (a mesh); .las, .laz (points);
+        .tif (a map of the surface from above: dsm.tif, gamma0.tif or layover-shadow.tif, or by any name with
+        --format); .geojson (the outline of points on a map).
     format
-        Content of a .ply or .tif file. gaussians: in the layout of 3D Gaussian splatting; points: of the surface,
+        Content of a .ply, .glb or .tif file. gaussians: in the layout of 3D Gaussian splatting; points: of the surface,
         metres, with normals and γ⁰; mesh: triangles through the points, with normals and γ⁰ at the vertices; dsm:
         height of the surface, m; gamma0: its γ⁰, linear; layover-shadow: 0 neither, 1 shadow, 2 layover, 3 both, 255
         unknown.

@@ -60,8 +60,12 @@ def _describe_file(path: Path) -> None:
             kind, rows = _ply(path)
         case ".splat":
             kind, rows = _gaussians(path)
-        case ".obj" | ".stl" | ".off" | ".glb":
+        case ".obj" | ".stl" | ".off":
             kind, rows = _mesh(path)
+        case ".glb":
+            from sarsplat.data.gltf_splats import holds_gaussians  # imports torch
+
+            kind, rows = (_gaussians if holds_gaussians(path) else _mesh)(path)
         case _:
             raise SarsplatError(f"{path} cannot be described; give {_UNDERSTOOD}")
     if path.with_name(f"{path.name}.place.json").is_file():
@@ -120,8 +124,8 @@ def _gaussians(path: Path) -> tuple[str, dict[str, str]]:
     if moved.any():
         middle = ", ".join(f"{value:.10g}" for value in moved)
         rows["place"] = f"far from the origin; images are made after ({middle}) m has been subtracted"
-    if path.suffix.lower() == ".splat":
-        rows["colours"] = "taken as γ⁰; .splat keeps no more than a shade of it, a .ply of ours keeps all"
+    if path.suffix.lower() in (".splat", ".glb"):
+        rows["colours"] = "taken as γ⁰; such files keep no more than a shade of it, a .ply of ours keeps all"
     return f"{len(centred)} Gaussians", rows
 
 

@@ -117,8 +117,9 @@ def parsed(text: str, decimal_comma: bool = False) -> float:
 
 
 def _names(reader: Any) -> tuple[str, ...]:
-    """Return the column names: the first line that is not empty."""
-    return tuple(name.strip() for name in next(filter(None, reader), []))
+    """Return the column names: the first line that is not empty, with spaces for what cannot be printed."""
+    names = next(filter(None, reader), [])
+    return tuple("".join(letter if letter.isprintable() else " " for letter in name).strip() for name in names)
 
 
 def _reader(text: str, separator: str) -> Any:

@@ -28,6 +28,7 @@ from torch import Tensor
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data.files import decode_json, open_file
+from sarsplat.data.gltf_splats import glb_columns
 from sarsplat.data.outliers import outliers
 from sarsplat.data.ply_points import named, read_ply, stacked, write_ply
 from sarsplat.data.viewer_colours import ODD, viewer_colours
@@ -114,11 +115,12 @@ def write_gaussians_ply(
 
 @checks_arguments
 def read_gaussians_ply(path: str | Path) -> Gaussians:
-    """Read Gaussians: exactly from sarsplat's PLY files, approximately from PLY or `.splat` files of 3DGS programs.
+    """Read Gaussians: exactly from sarsplat's PLY files, approximately from PLY, `.splat` or `.glb` of 3DGS programs.
 
     In files of 3DGS programs, κ = −ln(1 − opacity), the harmonics are the mean over the three colours, and p_min is 0;
     a property filter_3D (Mip-Splatting) widens Gaussians and lowers their opacity.
-    A `.splat` file has one colour per Gaussian: in sarsplat's exports a shade of grey for decibels.
+    A `.splat` file has one colour per Gaussian, a `.glb` (KHR_gaussian_splatting) harmonics: in sarsplat's exports
+    shades of grey for decibels.
 
     Returns
     -------
@@ -149,8 +151,8 @@ def read_centred_gaussians(path: Path) -> tuple[Gaussians, Float64[np.ndarray, "
 
 def _read(path: Path, exact: tuple[str, ...]) -> tuple[Gaussians, Float64[np.ndarray, " 3"]]:
     """Read Gaussians and the vector subtracted from their means, which is zero unless coordinates are read `exact`."""
-    if path.suffix.lower() == ".splat":
-        columns, comments = _splat_columns(path), list[str]()
+    if (other := {".splat": _splat_columns, ".glb": glb_columns}.get(path.suffix.lower())) is not None:
+        columns, comments = other(path), list[str]()
     else:
         columns, comments = read_ply(
             path, lambda name, of: _VERSION not in of or not name.startswith(_FOR_VIEWERS), exact
@@ -187,11 +189,12 @@ def _splat_columns(path: Path) -> dict[str, Float64[np.ndarray, " n"]]:
         )
     table = np.frombuffer(data, SPLAT)
     colours = table["rgba"] / 255.0
-    with np.errstate(divide="ignore"):
-        scales = np.log(np.maximum(table["scale"].astype(np.float64), 0.0))
+    with np.errstate(divide="ignore", invalid="ignore"):  # invalid: signalling NaN
+        position, lengths = (table[name].astype(np.float64) for name in ("position", "scale"))
+        scales = np.log(np.maximum(lengths, 0.0))
         logit = np.log(colours[:, 3]) - np.log1p(-colours[:, 3])
     return {
-        **named(("x", "y", "z"), table["position"].astype(np.float64)),
+        **named(("x", "y", "z"), position),
         **named((f"scale_{k}" for k in range(3)), scales),
         **named((f"f_dc_{k}" for k in range(3)), (colours[:, :3] - 0.5) / CONSTANTS[0]),  # harmonic of degree 0
         "opacity": np.clip(logit, -_MAX_LOGIT, _MAX_LOGIT),

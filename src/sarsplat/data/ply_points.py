@@ -82,7 +82,7 @@ def read_ply(
         for first in range(0, count, _CHUNK):
             chunk = min(_CHUNK, count - first)
             rows = np.ndarray(chunk, dtype, file.read(chunk * dtype.itemsize))
-            with np.errstate(over="ignore"):
+            with np.errstate(over="ignore", invalid="ignore"):  # invalid: signalling NaN
                 for name, column in columns.items():
                     column[first : first + chunk] = rows[name]
     return columns, comments

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float64, Int, Real
 
 from sarsplat.data import Dataset
-from sarsplat.errors import counted
+from sarsplat.data.dataset import DatasetEntry
+from sarsplat.errors import SarsplatError, counted
 from sarsplat.examination.outcome import Examination
-from sarsplat.radiometry import LEAST_POWER, beta0_of_gamma0, to_db
+from sarsplat.radiometry import LEAST_POWER, beta0_of_gamma0, from_db, to_db
 
 _MIN_CLIPPED = 0.01
 """Clipped share of an image that is as large as a target."""
@@ -38,12 +40,18 @@ _OTHER_DEVIATIONS = 8.0
 """Maximum deviation of an image's ground from the others', dB and robust standard deviations: gains of measured chips
 differ by 3 dB."""
 
-_MAX_SPREAD_DB = 8.0
+_MAX_SPREAD_DB = 5.0
 """Maximum robust standard deviation of the ground in images of one scale, dB."""
 
 _CONTRASTS = (0.72, 1.39)
 """Range of an image's ground contrast (standard deviation over mean) relative to that of the others. Measured: 0.93 to
 1.2 within one set; 0.5 and 1.8 for square roots and squares."""
+
+_REAL_SLOPES = (-2.0, 5.0)
+"""Range of n in γ⁰ ~ sinⁿ θ of real ground: −1 of the same σ⁰ at all angles, 4 of a calm sea or a road."""
+
+_LAW_STEP_DB = 0.5
+"""Step of 10·log10(sin θ) within which grazing angles count as the same."""
 
 _QUANTILES = (0.5, 0.75, 0.9)
 """Quantiles of an image that another scale moves alike; shadow or a large target moves only some."""
@@ -53,7 +61,8 @@ _OWN_SCALES = ("mstar", "sample")
 
 _ONE_SCALE = (
     "give them on one scale, or the factor of each in a column of the table (`columns={'scale': 'NAME'}`); if neither "
-    "is known, reconstruct with preset='measured', which learns a gain for each"
+    "is known, `sarsplat check DATASET --levelled OUT` writes a copy whose ground has one level, or reconstruct with "
+    "preset='measured', which learns a gain for each"
 )
 
 
@@ -140,13 +149,66 @@ def _too_alike(counts: Int[np.ndarray, " v"], pixels: int) -> bool:
     return bool(within ** len(counts) < _CHANCE)
 
 
+def ground_levels_db(dataset: Dataset) -> tuple[Float64[np.ndarray, "3 v"], float]:
+    """Return the deviations of each image's ground from a common law of the grazing angle θ, dB, by three quantiles.
+
+    The law is γ⁰ ~ sinⁿ θ, n by the median of slopes between grazing angles, at most that of real ground; also return
+    by how many dB that makes it flatter between the lowest and the highest angle.
+    """
+    flat = np.array([beta0_of_gamma0(1.0, view.grazing_deg) for view in dataset.views])
+    levels = to_db(np.quantile(dataset.power, _QUANTILES, axis=(1, 2)) / flat, least=LEAST_POWER)
+    law = to_db(flat / np.hypot(1, flat), least=LEAST_POWER)  # sin θ, for flat is tan θ
+    steps, group = np.unique(np.round(law / _LAW_STEP_DB), return_inverse=True)
+    at = np.array([(law[group == k].mean(), np.median(levels[:, group == k])) for k in range(len(steps))])
+    (run, rise), pairs = at.T[:, :, None] - at.T[:, None, :], np.triu_indices(len(at), 1)
+    slope = float(np.median(rise[pairs] / run[pairs])) if len(at) > 1 else 0.0
+    real = float(np.clip(slope, *_REAL_SLOPES))
+    levels = levels - real * law
+    return levels - np.median(levels, axis=1, keepdims=True), (slope - real) * float(np.ptp(law))
+
+
+def levelled(dataset: Dataset) -> Dataset:
+    """Return a dataset whose images have one scale by the level of their ground, which its `source` says.
+
+    The law by which ground depends on the grazing angle is kept as far as real ground may have it. Raises without
+    ground.
+    """
+    if not dataset.ground:
+        raise SarsplatError("the images show no ground whose level could be compared; give the factor of each image")
+    gains_db = -np.median(ground_levels_db(dataset)[0], axis=0)
+    factors = from_db(gains_db).astype(np.float32)
+
+    def scaled(entry: DatasetEntry, factor: float) -> DatasetEntry:
+        if entry.stack is None or entry.stack.noise is None:
+            return entry
+        return replace(entry, stack=replace(entry.stack, noise=tuple(noise * factor for noise in entry.stack.noise)))
+
+    told = (
+        f"each image was multiplied by {gains_db.min():+.1f} to {gains_db.max():+.1f} dB, so that its ground has one "
+    )
+    source = {**dataset.source, "assumptions": [*dataset.source.get("assumptions", ()), f"{told}level with the others"]}
+    source["contradictions"] = [text for text in source.get("contradictions", ()) if _ONE_SCALE not in text]
+    signal = dataset.signal
+    return replace(
+        dataset,
+        power=dataset.power * factors[:, None, None],
+        signal=None if signal is None else signal * np.sqrt(factors).reshape(-1, *[1] * (signal.ndim - 1)),
+        entries=tuple(scaled(entry, float(factor)) for entry, factor in zip(dataset.entries, factors, strict=True)),
+        calibration="relative",
+        source=source,
+    )
+
+
 def _other_level(dataset: Dataset) -> list[str]:
     """Describe images whose ground is far brighter or darker than in most, or than the median where all differ."""
     if len(dataset) < _MIN_IMAGES or not dataset.ground:
         return []
-    flat = np.array([beta0_of_gamma0(1.0, view.grazing_deg) for view in dataset.views])
-    levels = to_db(np.quantile(dataset.power, _QUANTILES, axis=(1, 2)) / flat, least=LEAST_POWER)
-    deviations_db = levels - np.median(levels, axis=1, keepdims=True)
+    deviations_db, excess_db = ground_levels_db(dataset)
+    if abs(excess_db) > _OTHER_DB:
+        return [
+            f"the ground gets {excess_db:+.0f} dB brighter from the lowest to the highest grazing angle than any real "
+            f"ground does, as of another scale at each angle; {_ONE_SCALE}"
+        ]
     same_sign = (np.sign(deviations_db) == np.sign(deviations_db[0])).all(axis=0)
     deviation_db = np.where(same_sign, np.sign(deviations_db[0]) * np.abs(deviations_db).min(axis=0), 0.0)
     typical = 1.4826 * float(np.median(np.abs(deviation_db)))

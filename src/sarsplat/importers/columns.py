@@ -13,7 +13,7 @@ from sarsplat.names import Quantity
 
 MEANINGS: dict[str, tuple[str, ...]] = {
     "file": ("filename", "path", "image", "imagefile", "imagepath", "chip", "picture"),
-    "azimuth": ("az", "azim", "aspect", "bearing"),
+    "azimuth": ("az", "azim", "aspect"),
     "heading": ("platformheading", "flightheading", "flightdirection", "track", "course"),
     "grazing": ("graz", "elevation", "elev", "el", "depression", "measureddepression"),
     "incidence": ("inc", "incident"),
@@ -83,6 +83,9 @@ FACTORS: dict[str, tuple[int, tuple[Quantity, ...]]] = {
 }
 """Meaning → exponent that makes its number a factor on the power, and possible quantities of the pixels."""
 
+_FACTOR_WORDS = {"scale", "gain", "factor", "calfactor", "calibration", "cal"}
+"""Words in columns' names for factors of pictures."""
+
 Columns = dict[str, str]
 """Meaning → name of the column."""
 
@@ -116,6 +119,18 @@ def chosen_columns(table: CsvTable, named: Mapping[str, str]) -> Columns:
     return chosen
 
 
+def told_of_factor(meaning: str, name: str) -> str:
+    """Return a sentence on the use of a factor with a meaning of `FACTORS` and this name."""
+    exponent, _ = FACTORS[meaning]
+    return f"power is {'multiplied' if exponent > 0 else 'divided'} by {'the square of ' * (abs(exponent) == 2)}{name}"
+
+
+def unused_factor(table: CsvTable, columns: Columns) -> str | None:
+    """Return a column that is called a factor and has no meaning; None without one."""
+    unused = [name for name in table.columns if name not in columns.values() and _FACTOR_WORDS & set(_words(name))]
+    return next((name for name in unused if any(cells[name] for _, cells in table.rows)), None)
+
+
 def refuse_two_radars(table: CsvTable) -> None:
     """Raise if a table has angles of a transmitter or a receiver: bistatic images are not supported."""
     for column in table.columns:
@@ -137,13 +152,13 @@ def unusual_look(table: CsvTable, row: Row) -> str | None:
     return None
 
 
-def recognised(table: CsvTable, meaning: str, chosen: Columns) -> str | None:
-    """Return the only column with a usual name, or None."""
+def recognised(table: CsvTable, meaning: str, chosen: Columns, *, needed: bool = True) -> str | None:
+    """Return the only column with a usual name, or None; raise if several have one, and it is `needed`."""
     usual = (meaning.replace("-", ""), *MEANINGS[meaning])
     candidates = [name for name in table.columns if _plain(name) in usual and name not in chosen.values()]
     if len(candidates) > 1 and (exact := [name for name in candidates if _plain(name) == usual[0]]):
         candidates = exact
-    if len(candidates) > 1:
+    if len(candidates) > 1 and needed:
         raise SarsplatError(
             f"{table.path} has several columns that may be the {meaning}: {', '.join(map(shown, candidates))}; "
             f"say which with `columns={{'{meaning}': 'NAME'}}`"
@@ -241,10 +256,9 @@ def _plain(name: str) -> str:
 
 def _require_known(problem: str, name: str, names: Iterable[str]) -> None:
     if name not in names:
-        printable = [one for one in names if one and one.isprintable()]
-        raise SarsplatError(f"{problem} {shown(name)}; {advised(name, printable[:40])}")
+        raise SarsplatError(f"{problem} {shown(name)}; {advised(name, [*filter(None, names)][:40])}")
 
 
 def _has(table: CsvTable) -> str:
-    named = [name if name.isprintable() else shown(name) for name in table.columns if name]
+    named = [*filter(None, table.columns)]
     return ", ".join(named[:20])[:400] + (", …" if len(named) > 20 else "")

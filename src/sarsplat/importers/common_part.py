@@ -84,14 +84,19 @@ def _without_empty_corners(images: Sequence[MeasuredImage]) -> tuple[list[Measur
 
 def _empty_corners(zeros: Bool[np.ndarray, "rows columns"]) -> Bool[np.ndarray, "rows columns"]:
     """Return zeros connected with a corner, in pieces thicker than single dark pixels."""
-    from scipy.ndimage import binary_opening, label  # here: whoever asks for a file's facts need not load SciPy
+    from scipy.ndimage import (
+        label,
+        maximum_filter,
+        minimum_filter,
+    )  # here: whoever asks for a file's facts need not load SciPy
 
     share = float(zeros.mean())
     if not 0 < share < 1:
         return np.zeros_like(zeros)
     by_chance = math.sqrt(math.log(zeros.size / _CHANCE) / -math.log(share))  # side of squares of dark pixels
-    side = max(_THICK, math.ceil(by_chance))
-    pieces, _ = label(binary_opening(zeros, np.ones((side, side))))
+    side = max(_THICK, math.ceil(by_chance)) | 1
+    squares = minimum_filter(zeros, side, mode="constant")  # filters take a time that does not depend on the side
+    pieces, _ = label(maximum_filter(squares, side, mode="constant"))
     at = {int(pieces[corner]) for corner in ((0, 0), (0, -1), (-1, 0), (-1, -1))} - {0}
     empty = np.isin(pieces, list(at)) if at else np.zeros_like(zeros)
     rows, columns = (np.flatnonzero(~zeros.all(axis=axis)) for axis in (1, 0))

@@ -40,8 +40,8 @@ def import_folder(
     out: str | Path,
     *,
     quantity: Quantity | None = None,
-    scale: float = 1.0,
-    offset: float = 0.0,
+    scale: float | None = None,
+    offset: float | None = None,
     backscatter: Backscatter = "beta0",
     geocoded: Projection | None = None,
     geocoded_height_m: float = 0.0,
@@ -59,10 +59,11 @@ def import_folder(
     quantity : {"amplitude", "power", "db", "complex"}, optional
         Quantity that scale · pixel + offset is; without it, complex numbers are complex amplitude, whole numbers
         amplitude, and others as a column dn-per-magnitude or dn-per-power says.
-    scale : float
-        Factor on the pixels, e.g. 60/255 of decibels in 8 bits.
-    offset : float
-        Added to the pixels after that.
+    scale : float, optional
+        Factor on the pixels, e.g. 60/255 of decibels in 8 bits: 1, or the file's own. If given, scale, offset
+        and factors of the files do not count.
+    offset : float, optional
+        Added to the pixels after that; likewise.
     backscatter : {"beta0", "sigma0", "gamma0"}
         Normalisation of the power: σ⁰ and γ⁰ become β⁰ by the factor of level ground.
     geocoded : {"level", "terrain"}, optional

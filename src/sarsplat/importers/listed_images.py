@@ -17,7 +17,7 @@ from sarsplat.data.orientation import SIDES, Layout, oriented
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry import Place, View
 from sarsplat.importers.about import AboutImages, AboutPictures, Pair
-from sarsplat.importers.columns import FACTORS
+from sarsplat.importers.columns import FACTORS, told_of_factor
 from sarsplat.importers.files import warn_caller
 from sarsplat.importers.images import assume, dataset_of, write_imported
 from sarsplat.importers.measured_image import MeasuredImage, view_of
@@ -106,20 +106,20 @@ def read_pictures(
     about: AboutPictures,
     angles: Angles,
     quantity: Quantity | None,
-    scale: float,
-    offset: float,
+    scale: float | None,
+    offset: float | None,
     backscatter: Backscatter,
 ) -> tuple[list[Picture], list[str]]:
     """Read the pictures of a table as β⁰, and return them with the assumptions made."""
     pictures: list[Picture] = []
     for listed_row in listed.pictures:
         row = _completed(listed_row, about)
-        by, plus = _either(row.scale, scale), _either(row.offset, offset)
-        if row.power_factor is not None and (by, plus) != (1.0, 0.0):
+        given = (scale if row.scale is None else row.scale), (offset if row.offset is None else row.offset)
+        if row.power_factor is not None and given != (None, None):
             raise SarsplatError(f"{listed.path} has a column of factors; leave out `scale` and `offset`, or the column")
-        own = row.power_factor is None and row.scale is None and row.offset is None
+        own = row.power_factor is None and given == (None, None)
         found = pictures[-1].values.quantity if pictures else quantity
-        values = read_values(row.path, found, by, plus, listed.real, own)
+        values = read_values(row.path, found, _either(given[0], 1.0), _either(given[1], 0.0), listed.real, own)
         _require_unit(listed, values.quantity)
         mirrored = about.get("mirrored", False) if row.looks_left is None else row.looks_left
         view = view_of_picture(listed, row, angles, mirrored)
@@ -132,6 +132,8 @@ def read_pictures(
         pictures.append(Picture(row, values, view, about.get("ground_range", False)))
     columns = ", ".join(f"{meaning} = {name}" for meaning, name in listed.columns.items())
     told = [f"columns of the table: {columns}"]
+    factors = FACTORS.keys() & listed.columns.keys() if pictures[-1].row.power_factor is not None else ()
+    told += [told_of_factor(meaning, listed.columns[meaning]) for meaning in factors]
     told += [f"the numbers are {pictures[-1].values.quantity}"] if quantity is None else []
     told += dict.fromkeys(text for picture in pictures for text in picture.values.assumptions)
     if unknown := sum(int(picture.values.unknown.sum()) for picture in pictures):

@@ -18,16 +18,15 @@ from jaxtyping import Bool, Shaped
 from sarsplat.data.files import open_file, plain_os_errors
 from sarsplat.data.geotiff import refuse_turned
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.importers.columns import FACTORS, told_of_factor
 from sarsplat.importers.files import complex_of, require
 from sarsplat.importers.mat import read_mat
-from sarsplat.importers.rasters import OTHERS, TIFF, Tags, read_raster, sidecar_scaling
+from sarsplat.importers.rasters import OTHERS, TIFF, Tags, read_raster, refuse_bomb, sidecar_scaling
 from sarsplat.names import Quantity
 from sarsplat.radiometry import from_db
 
 PICTURE_ENDINGS = (*OTHERS, *TIFF)
 """Usual endings of pictures; others are read by GDAL."""
-_FREE_BYTES, _BYTES_PER_BYTE = 4 << 20, 64
-"""Maximum unpacked size of a picture: bytes, or bytes for each byte of its file if that is more."""
 
 Bands = Literal["real and imaginary part", "amplitude and phase in radians", "amplitude and phase in degrees"]
 _HALF_TURNS: dict[Bands, float] = {"amplitude and phase in radians": math.pi, "amplitude and phase in degrees": 180.0}
@@ -113,10 +112,7 @@ def _picture(path: Path) -> Shaped[np.ndarray, "*shape"]:
         data = file.read()
     try:
         image = Image.open(io.BytesIO(data), formats=("PNG", "JPEG"))
-        if (unpacked := math.prod(image.size) * len(image.getbands()) * 2) > max(
-            _FREE_BYTES, _BYTES_PER_BYTE * len(data)
-        ):
-            raise SarsplatError(f"{path} has {len(data)} bytes but claims to hold {unpacked}; save it again")
+        refuse_bomb(path, math.prod(image.size) * len(image.getbands()))
         refuse_turned(path, image.getexif().get(ExifTags.Base.Orientation, 1))
         if (image.mode == "L" and "transparency" not in image.info) or image.mode[0] in "IF":
             return np.asarray(image)
@@ -244,7 +240,7 @@ class Values:
     tags: Tags
     quantity: Quantity
     power_factor: float
-    """Factor on the power that the file states, and that is not yet in it; 1 where the user states a scale."""
+    """Factor on the power that the file states, and that is not yet in it; 1 where the user states another."""
     assumptions: tuple[str, ...]
     """Assumptions about tags and bands."""
 
@@ -254,8 +250,8 @@ def read_values(
 ) -> Values:
     """Read a picture; `quantity` is that of scale · pixel + offset, None to infer it from the type of the numbers.
 
-    `real` is the quantity of real numbers, if known. With scale 1, offset 0 and `own`, those of the file count.
-    Raises as `read_picture` and `power_or_signal` do, or if no pixel has data.
+    `real` is the quantity of real numbers, if known. Scale, offset and factor of the file count if `own`. Raises as
+    `read_picture` and `power_or_signal` do, if no pixel has data, or if these contradict each other or the quantity.
     """
     pixels, tags = read_picture(path)
     name, told = str(path), []
@@ -266,25 +262,26 @@ def read_values(
         pixels = np.where(absent, pixels[~absent][0] if pixels.ndim == 2 else pixels.dtype.type(0), pixels)
     if found == "complex" and (bands := meaning_of(pixels, name)):
         told.append(f"the two bands of complex pictures are {bands}")
-    own = own and (scale, offset) == (1.0, 0.0)
-    factor, scaled = (tags.power_factor, (tags.scale, tags.offset)) if own else (1.0, (1.0, 0.0))
-    if np.isnan(factor):
-        raise SarsplatError(
-            f"{name} states several factors on its power; give the right ones in a column of the table: "
-            "`columns={'calibration-factor': 'NAME'}`"
-        )
-    if factor != 1 and (scaled != (1.0, 0.0) or found == "db"):
-        beside = "decibels" if found == "db" else "a scale of its numbers"
-        raise SarsplatError(
-            f"{name} states a factor on its power beside {beside}; write it again with only one of them"
-        )
-    if scaled != (1.0, 0.0):
-        scale, offset = scaled
+    factor, scaled = 1.0, (tags.scale, tags.offset) != (1.0, 0.0)
+    if not own and (tags.factors or scaled):
+        told.append("the files state scales or factors, which are not used, for others are given")
+    elif tags.factors:
+        (meaning, number), *others = tags.factors
+        exponent, quantities = FACTORS[meaning]
+        factor = number**exponent
+        told.append(told_of_factor(meaning, f"each file's {meaning}"))
+        if others or scaled or found not in quantities:
+            stated = ", ".join(f"{meaning} {number:g}" for meaning, number in tags.factors)
+            beside = f", scale {tags.scale:g} and offset {tags.offset:g}" if scaled else ""
+            raise SarsplatError(
+                f"{name} states {stated}{beside}, which do not belong together for numbers that are {found}; give the "
+                "right ones as `scale` (1 leaves out those of the files), or in a column of the table"
+            )
+    elif scaled:
+        scale, offset = tags.scale, tags.offset
         told.append(f"pixels are multiplied by {scale:g}, and {offset:g} is added, as the files say")
     image = power_or_signal(pixels, found, name, scale, offset)
     absent = np.zeros(image.shape, bool) if absent is None else absent
-    if factor != 1:
-        told.append("power is multiplied by each file's own factor")
     if tags.backscatter:
         told.append(f"power is {tags.backscatter}, as the files say")
     return Values(np.where(absent, image.dtype.type(0), image), absent, tags, found, factor, tuple(told))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -17,17 +16,19 @@ from sarsplat.data.csv_table import parsed
 from sarsplat.data.files import open_file
 from sarsplat.data.geotiff import UNDEFINED, Georeference, georeference_of, opened_raster
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.importers.columns import FACTORS
 from sarsplat.names import Backscatter
 
 TIFF = (".tif", ".tiff")
 OTHERS = (".png", ".jpg", ".jpeg", ".npy", ".mat")
 """Endings of pictures that are read without GDAL."""
 _SIDECAR = ".aux.xml"
-_FACTORS = {"scale_factor": 2, "calibration_factor": 1}
-"""Names of producers' factors (Capella's on the magnitude, ICEYE's on the power) → exponent for the power."""
 _NORMALISATIONS: dict[str, Backscatter] = dict(beta_nought="beta0", sigma_nought="sigma0", gamma_nought="gamma0")
 _STATED = re.compile(r'"(?:\w+:)?(scale_factor|calibration_factor|radiometry)"\s*:\s*"?([\w.+-]+)', re.IGNORECASE)
 """A factor or its normalisation in JSON, perhaps with a prefix."""
+_LONGEST_JSON = 1 << 22
+_FREE_BYTES, _BYTES_PER_BYTE = 4 << 20, 64
+"""Maximum unpacked size of a picture: bytes, or bytes for each byte of its file if that is more."""
 _GEO_KEYS = 34735
 _MEANINGS = {274, 33550, 33922, 34264, _GEO_KEYS, 42112, 42113}
 """Tags of orientation, places, scales and "no data"."""
@@ -44,10 +45,10 @@ class Tags:
     """Factor on the pixels."""
     offset: float = 0.0
     """Number added after that."""
-    power_factor: float = 1.0
-    """Factor on the power: the square of a producer's `scale_factor`, or its `calibration_factor`; NaN of several."""
+    factors: tuple[tuple[str, float], ...] = ()
+    """Producers' factors: meaning (of `FACTORS`) and number; more than one contradict each other."""
     backscatter: Backscatter | None = None
-    """Normalisation of that power, if stated."""
+    """Normalisation of the power, if stated."""
     absent: Bool[np.ndarray, "rows columns"] | None = field(default=None, compare=False)
     """Pixels with the value of "no data", or left out by a mask or a band for transparency; None without such."""
 
@@ -57,6 +58,7 @@ def read_raster(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]:
     if path.suffix.lower() in TIFF and (plain := _plain_tiff(path)) is not None:
         return plain
     with opened_raster(path) as file:
+        refuse_bomb(path, file.width * file.height * file.count)
         _require_plain(path, file)
         bands = [k for k, kind in zip(file.indexes, file.colorinterp, strict=True) if kind.name != "alpha"]
         masks = file.read_masks(bands)
@@ -66,6 +68,13 @@ def read_raster(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]:
         pixels = file.read(bands)
         tags = Tags(georeference_of(file), absent=absent if absent.any() else None, **_scaling(path, file, bands))
     return pixels[0] if len(pixels) == 1 else pixels, tags
+
+
+def refuse_bomb(path: Path, values: int) -> None:
+    """Raise if a picture unpacks to far more than its file, as no measured one does."""
+    size = path.stat().st_size
+    if 2 * values > max(_FREE_BYTES, _BYTES_PER_BYTE * size):
+        raise SarsplatError(f"{path} has {size} bytes but claims to hold {2 * values}; save it again")
 
 
 def sidecar_scaling(path: Path) -> Tags:
@@ -78,7 +87,7 @@ def sidecar_scaling(path: Path) -> Tags:
 
 
 def _scaling(path: Path, file: Any, bands: Iterable[int]) -> dict[str, Any]:
-    """Return scale, offset and factor on the power of an open raster, by their names in `Tags`."""
+    """Return scale, offset and producers' factors of an open raster, by their names in `Tags`."""
     stated = {(file.scales[k - 1], file.offsets[k - 1]) for k in bands}
     if len(stated) > 1 or not np.isfinite([*stated]).all():
         raise SarsplatError(
@@ -86,16 +95,21 @@ def _scaling(path: Path, file: Any, bands: Iterable[int]) -> dict[str, Any]:
         )
     ((scale, offset),) = stated
     tags = "\n".join(f'"{name}": "{text}"' for name, text in file.tags().items())
-    return {"scale": scale, "offset": offset, **_calibration(tags)}
+    return {"scale": scale, "offset": offset, **_calibration(path, tags)}
 
 
-def _calibration(text: str) -> dict[str, Any]:
-    """Return a producer's factor on the power and its normalisation, by tags or the JSON of a description."""
-    stated = {(name.lower(), value.lower()) for name, value in _STATED.findall(text)}
-    numbers = {(name, parsed(value)) for name, value in stated if name in _FACTORS}
-    factor, *others = {number ** _FACTORS[name] for name, number in numbers if 1e-15 <= number <= 1e15} or {1.0}
+def _calibration(path: Path, text: str) -> dict[str, Any]:
+    """Return producers' factors and the normalisation of the power, by tags or the JSON of a description or beside."""
+    if (beside := path.with_suffix(".json")).is_file():
+        with open_file(beside) as file:
+            text += file.read(_LONGEST_JSON).decode("utf-8", "replace")
+    stated = {(name.lower().replace("_", "-"), value.lower()) for name, value in _STATED.findall(text)}
+    numbers = {(name, parsed(value)) for name, value in stated if name in FACTORS}
     kind = {_NORMALISATIONS.get(value) for name, value in stated if name == "radiometry"} or {None}
-    return {"power_factor": math.nan if others else factor, "backscatter": kind.pop() if len(kind) == 1 else None}
+    return {
+        "factors": tuple(sorted((name, number) for name, number in numbers if 1e-15 <= number <= 1e15)),
+        "backscatter": kind.pop() if len(kind) == 1 else None,
+    }
 
 
 def first_georeference(paths: Iterable[Path]) -> Georeference | None:
@@ -134,7 +148,7 @@ def _plain_tiff(path: Path) -> tuple[Shaped[np.ndarray, "rows columns"], Tags] |
                 pixels, description = _halves(file, page) if halves else page.asarray(), page.description
         except Exception:  # a garbled TIFF can fail anywhere inside the parser, with any exception
             return None
-    return pixels, Tags(**_calibration(description))
+    return pixels, Tags(**_calibration(path, description))
 
 
 def _halves(file: BinaryIO, page: Any) -> Complex64[np.ndarray, "rows columns"]:

@@ -52,7 +52,7 @@ def import_stack(
     noise: float | None = None,
     conjugate: bool = False,
     flattened: bool = False,
-    scale: float = 1.0,
+    scale: float | None = None,
     backscatter: Backscatter = "beta0",
     overwrite: bool = False,
     **about: Unpack[AboutPictures],
@@ -79,8 +79,8 @@ def import_stack(
     flattened : bool
         Phases of the level plane z = 0 were taken out. Unless they were, a scatterer at the scene's origin must have
         the same phase in every pass.
-    scale : float
-        Factor on the pixels.
+    scale : float, optional
+        Factor on the pixels: 1, or the file's own.
     backscatter : {"beta0", "sigma0", "gamma0"}
         Normalisation of the power: σ⁰ and γ⁰ become β⁰ by the factor of level ground.
     overwrite : bool
@@ -101,13 +101,13 @@ def import_stack(
     folder = Path(folder)
     listed = read_picture_table(folder, about)
     angles = Angles.of(about)
-    pictures, assumptions = read_pictures(listed, about, angles, "complex", scale, 0.0, backscatter)
+    pictures, assumptions = read_pictures(listed, about, angles, "complex", scale, None, backscatter)
     images, layout = in_range(listed, pictures, about, assumptions)
     images = _stacks(listed, images, _Recording(wavelength_m, transmit, noise, conjugate, flattened))
     source: dict[str, Any] = {
         "quantity": "complex",
         "scale": scale,
-        "offset": 0.0,
+        "offset": None,
         **layout,
         "assumptions": [
             *assumptions,

@@ -22,6 +22,7 @@ from sarsplat.importers.columns import (
     recognised,
     require,
     require_azimuths,
+    unused_factor,
 )
 from sarsplat.importers.files import files_in, listed_files, warn_caller
 from sarsplat.importers.pictures import PICTURE_ENDINGS
@@ -120,6 +121,14 @@ def read_picture_table(folder: Path, about: AboutPictures, *, compass: bool = Fa
         table = _table_of_names(folder, inside if path is None else [Path(path)], names)
     columns = chosen_columns(table, named)
     spacing = about.get("spacing_m") is None and first_georeference(sorted(folder.rglob("*"))) is None
+    columns = {
+        key: name for key, name in columns.items() if key not in FACTORS or any(row[1][name] for row in table.rows)
+    }
+    if (factor := unused_factor(table, columns)) is not None:
+        warn_caller(
+            f"{table.path} has the column {shown(factor)}, which is not used; if it holds factors, name it with "
+            f"`columns={{'scale': '{factor}'}}`, or `columns={{'calibration-factor': '{factor}'}}` for the power's"
+        )
     require(table, columns, about.get("grazing_deg") is None, spacing, about.get("look") is not None)
     require_azimuths(table, columns, compass or about.get("azimuth_offset_deg") is not None)
     heading = _heading(table, columns, named)
@@ -180,8 +189,9 @@ def _only_table(folder: Path, files: list[Path]) -> Path:
     products = {kind for path in files for start, kind in _PRODUCTS.items() if path.name.lower().startswith(start)}
     if products and not tables:
         raise SarsplatError(
-            f"{folder} holds a product in {products.pop()}, whose geometry is not read; convert it to SICD, as by "
-            "sarpy, and give that to `sarsplat import sicd`"
+            f"{folder} holds a product in {products.pop()}, whose geometry is not read; of complex images make SICD, "
+            "as by sarpy, for `sarsplat import sicd`, of GRD GeoTIFFs corrected for terrain, to be given with "
+            "a table of angles, `geocoded='terrain'` and that `terrain`"
         )
     if len(tables) != 1:
         number = f"{len(tables)} tables (CSV)" if tables else "no table (CSV) of its pictures"
@@ -217,7 +227,7 @@ def _heading(table: CsvTable, columns: Columns, named: Mapping[str, str]) -> str
     """Return the column of headings, also beside azimuths, unless only the column of azimuths was named."""
     if "heading" in columns or {"azimuth", "az"} & set(named):
         return columns.get("heading")
-    return recognised(table, "heading", columns)
+    return recognised(table, "heading", columns, needed=False)
 
 
 def _listed(table: CsvTable, row: Row, columns: Columns, heading: str | None, path: Path) -> ListedPicture:
@@ -281,7 +291,6 @@ def _require_right_angle(table: CsvTable, row: Row, columns: Columns) -> None:
 def _power_factor(table: CsvTable, row: Row, columns: Columns) -> float | None:
     """Return the factor on a row's power; None if no row states one, or a column of scales is named."""
     stated = [(columns[one], power) for one, (power, _) in FACTORS.items() if one in columns and "scale" not in columns]
-    stated = [(column, power) for column, power in stated if any(cells[column] for _, cells in table.rows)]
     if len(stated) > 1:
         raise SarsplatError(
             f"{table.path} states two factors of its pictures, {stated[0][0]} and {stated[1][0]}; remove or rename one"

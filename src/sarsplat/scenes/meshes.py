@@ -294,7 +294,7 @@ def _scene_of(data: bytes) -> dict[str, Any]:
     except (LookupError, TypeError, AttributeError, ValueError, RecursionError) as error:
         raise SarsplatError(f"has a garbled scene ({repr(error)[:200]}); export it again") from error
     if gaussians:
-        raise SarsplatError("holds Gaussians (KHR_gaussian_splatting), which are not read from .glb; give their PLY")
+        raise SarsplatError("holds Gaussians (KHR_gaussian_splatting), no mesh; give a mesh, or `sarsplat render` them")
     if needed:
         raise SarsplatError(f"needs {', '.join(needed)[:80]}, which is not read; export it without that extension")
     if numbers > 2 * len(data) + _FREE_NUMBERS or parts > _MAX_PARTS:
@@ -326,12 +326,12 @@ def _plain_glb(data: bytes, scene: dict[str, Any]) -> tuple[bytes, int]:
         for index in {one["attributes"]["POSITION"] for mesh in scene.get("meshes", ()) for one in mesh["primitives"]}:
             if scene["accessors"][index].get("normalized"):
                 raise ValueError("normalised positions are not read")
+        if hidden or fans:
+            scene["buffers"][0]["byteLength"] = len(values)
     except (LookupError, TypeError, AttributeError, ValueError) as error:
         raise SarsplatError(f"has a garbled scene ({repr(error)[:200]}); export it again") from error
     if not (hidden or fans):
         return data, 0
-    for buffer in scene.get("buffers", ())[:1]:
-        buffer["byteLength"] = len(values)
     text = json.dumps(scene).encode()
     chunks = [(text + b" " * (-len(text) % 4), b"JSON"), (values + bytes(-len(values) % 4), b"BIN\0")]
     body = b"".join(struct.pack("<I4s", len(chunk), name) + chunk for chunk, name in chunks)
