@@ -118,7 +118,7 @@ def parsed(text: str, decimal_comma: bool = False) -> float:
 
 def _names(reader: Any) -> tuple[str, ...]:
     """Return the column names: the first line that is not empty, with spaces for what cannot be printed."""
-    names = next(filter(None, reader), [])
+    names: list[str] = next(filter(None, reader), [])
     return tuple("".join(letter if letter.isprintable() else " " for letter in name).strip() for name in names)
 
 

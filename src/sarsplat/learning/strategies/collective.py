@@ -43,7 +43,7 @@ class CollectiveMoves(Configured):
         return cls(smoothing.collective) if wanted else None
 
     def initial_state(self, params: dict[str, Tensor]) -> State:
-        return State(whole={str(pitch): torch.zeros(0, dtype=torch.float32) for pitch in _PITCHES})
+        return State(whole={str(pitch): params["means"].detach().new_zeros(0) for pitch in _PITCHES})
 
     @torch.no_grad()
     def step_post_backward(

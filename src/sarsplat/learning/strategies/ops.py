@@ -93,7 +93,7 @@ def relocate(
 def _append(
     params: Params, optimizers: Optimiser, state: State, stay: Int64[Tensor, " k"], more: Int64[Tensor, " m"]
 ) -> Int64[Tensor, " n"]:
-    """Rearrange to the rows that stay, and copies of others as new Gaussians."""
+    """Rearrange to the rows that stay, and copies of rows as new Gaussians."""
     source = torch.cat([stay, more])
     rearrange(params, optimizers, state, source, torch.arange(len(source), device=source.device) < len(stay))
     return source
