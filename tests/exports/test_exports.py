@@ -124,8 +124,8 @@ def test_errors_on_unknown_endings_list_the_valid_ones(tmp_path: Path) -> None:
     for name in ("a.3ds", "a", "a.PLYX"):
         with pytest.raises(SarsplatError, match=rf"not a valid name for an export; .* ends in {endings}"):
             format_of(Path(name))
-    with pytest.raises(SarsplatError, match=r"not a valid name for gaussians; choose one that ends in \.ply or"):
-        format_of(Path("a.glb"), "gaussians")
+    with pytest.raises(SarsplatError, match=r"not a valid name for gaussians; choose one that ends in \.glb, \.ply or"):
+        format_of(Path("a.las"), "gaussians")
     assert format_of(Path("A.PLY"))[1] == "gaussians"
 
 

@@ -151,7 +151,7 @@ def test_values_are_means_over_the_neighbours_of_a_plane() -> None:
     np.testing.assert_allclose(usual[:, 1], 3.0)
 
 
-def test_a_lattice_carries_places_linearly_and_its_sums_are_the_transpose() -> None:
+def test_a_lattice_carries_places_linearly_and_its_sums_are_the_transpose_in_any_order() -> None:
     chance, region = np.random.default_rng(0), Region.box((-5, -4, 0), (5, 6, 3))
     places = torch.from_numpy(chance.uniform(region.low, region.high, (500, 3)))
     lattice = Lattice.around(region, 1.2, places)
@@ -163,6 +163,9 @@ def test_a_lattice_carries_places_linearly_and_its_sums_are_the_transpose() -> N
     torch.testing.assert_close(
         (lattice.sums(at_places) * at_nodes).sum(), (at_places * lattice.interpolated(at_nodes)).sum()
     )
+    order = torch.randperm(500)
+    shuffled = Lattice.around(region, 1.2, places[order])
+    assert torch.equal(shuffled.sums(at_places[order]), lattice.sums(at_places))
 
 
 def test_neighbours_move_alike_in_collective_moves(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:

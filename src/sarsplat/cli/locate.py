@@ -56,7 +56,7 @@ def locate(
     quantity
         Quantity of the numbers in pictures (default: as in import folder).
     write_back
-        Copy of the dataset to write, with the azimuths found for images that had none; training refines them.
+        Copy of the dataset to write, with the azimuths found for images that had none; training refines those it uses.
     overwrite
         Replace existing files.
     """

@@ -117,6 +117,8 @@ def glb_columns(path: Path) -> dict[str, Float64[np.ndarray, " n"]]:
                     count += len(parts[-1]["x"])
                     if count > len(data) / _LEAST_BYTES or len({len(column) for column in parts[-1].values()}) != 1:
                         raise ValueError("a mesh repeated by many nodes, or attributes of different lengths")
+        if not parts:
+            raise SarsplatError(f"{path} holds no Gaussians ({EXTENSION}), perhaps a mesh; give a file of Gaussians")
         if len({len(part) for part in parts}) != 1:
             raise ValueError(f"{len(parts)} primitives with {EXTENSION}, of equal degree")
         return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}

@@ -77,10 +77,8 @@ def azimuth_errors(
             raise UndefinedScore(str(error)) from error
         if not (window.cut(tested.power, tested.grid).max(axis=(1, 2)) > 0).all():
             raise UndefinedScore("an image is black around the origin, where its target would be; remove it")
-        cut, members = (
-            window.cut(tested.power, tested.grid, window.margins),
-            [k for k, one in enumerate(views) if one == view],
-        )
+        cut = window.cut(tested.power, tested.grid, window.margins)
+        members = [k for k, one in enumerate(views) if one == view]
         for azimuths, predict in zip(found, predictors, strict=True):
             predicted = predict(around(view, round(360 / STEP_DEG)))
             if not (inner := window.cut(predicted, tested.grid, window.margins)).any(axis=(1, 2)).all():

@@ -249,7 +249,8 @@ def _azimuth_errors(
     tested, train = dataset.select(split), dataset.select("train")
 
     def average(views: Sequence[View]) -> Stack:
-        return rotated_average(train.power.astype(np.float64), train.views, views, train.grid)
+        power = train.power / np.median(train.power, axis=(1, 2), keepdims=True)  # chips may have scales of their own
+        return rotated_average(power.astype(np.float64), train.views, views, train.grid)
 
     try:
         if split != (hardest := _hardest(dataset)):  # each set would take a seventh of an evaluation

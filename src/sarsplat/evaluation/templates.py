@@ -143,7 +143,7 @@ def grid_for(run: Run, pixels: ImageGrid) -> ImageGrid:
 def templates(
     run: Run, views: Sequence[View], window: Window, grid: ImageGrid, ground: Literal["learned", "flat"]
 ) -> Float32[np.ndarray, "v m n"]:
-    """Render a run from these views: linear power in the window with its margins, at least −40 dB of the mean."""
+    """Render a run from these views: linear power in the window with its margins."""
     if grid != run.grid and run.model is None:
         raise SarsplatError(
             f"a run of {run.target} by {run.method} renders only the pixels that it was trained with; give images with "
@@ -152,7 +152,7 @@ def templates(
     images = (
         run.render(views, None if grid == run.grid else grid) if ground == "learned" else _on_flat(run, views, grid)
     )
-    return floored(window.cut(images, grid, window.margins))
+    return window.cut(images, grid, window.margins)
 
 
 def floored(power: Real[np.ndarray, "v m n"]) -> Float32[np.ndarray, "v m n"]:

@@ -187,7 +187,8 @@ def levelled(dataset: Dataset) -> Dataset:
         f"each image was multiplied by {gains_db.min():+.1f} to {gains_db.max():+.1f} dB, so that its ground has one "
     )
     source = {**dataset.source, "assumptions": [*dataset.source.get("assumptions", ()), f"{told}level with the others"]}
-    source["contradictions"] = [text for text in source.get("contradictions", ()) if _ONE_SCALE not in text]
+    if "contradictions" in source:
+        source["contradictions"] = [text for text in source["contradictions"] if _ONE_SCALE.split(",")[0] not in text]
     signal = dataset.signal
     return replace(
         dataset,

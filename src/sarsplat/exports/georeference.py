@@ -45,8 +45,8 @@ _SCHEMA_VERSION = 1
 _HEAD = 100  # bytes within which the schema is named
 _ABOUT = (
     "Coordinates of the file are metres from the place, x towards the compass bearing x_towards_deg, y to the left of "
-    "x, z up (a .glb file's root node turns z to y); (x, y, z, 1), multiplied by ecef_from_scene from the left, is the "
-    "geocentric position, m, if height_m is above the ellipsoid."
+    "x, z up (a .glb file's root node turns z to y; its Gaussians have x, z and -y); (x, y, z, 1), multiplied by "
+    "ecef_from_scene from the left, is the geocentric position, m, if height_m is above the ellipsoid."
 )
 _MAKE_ONE = (
     "import SICDs or CPHD, or a terrain with a coordinate system (`terrain`), or tell the dataset in Python with "

@@ -153,7 +153,7 @@ def unusual_look(table: CsvTable, row: Row) -> str | None:
 
 
 def recognised(table: CsvTable, meaning: str, chosen: Columns, *, needed: bool = True) -> str | None:
-    """Return the only column with a usual name, or None; raise if several have one, and it is `needed`."""
+    """Return the only column with a usual name, or None; several raise if it is `needed`, and are None otherwise."""
     usual = (meaning.replace("-", ""), *MEANINGS[meaning])
     candidates = [name for name in table.columns if _plain(name) in usual and name not in chosen.values()]
     if len(candidates) > 1 and (exact := [name for name in candidates if _plain(name) == usual[0]]):
@@ -163,7 +163,7 @@ def recognised(table: CsvTable, meaning: str, chosen: Columns, *, needed: bool =
             f"{table.path} has several columns that may be the {meaning}: {', '.join(map(shown, candidates))}; "
             f"say which with `columns={{'{meaning}': 'NAME'}}`"
         )
-    return candidates[0] if candidates else None
+    return candidates[0] if len(candidates) == 1 else None
 
 
 def require(table: CsvTable, columns: Columns, grazing: bool, spacing: bool, looking: bool = False) -> None:

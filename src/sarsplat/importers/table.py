@@ -118,7 +118,8 @@ def read_picture_table(folder: Path, about: AboutPictures, *, compass: bool = Fa
         path = _only_table(folder, inside) if path is None else Path(path)
         table = read_table(path, "a table with a row for each picture")
     else:
-        table = _table_of_names(folder, inside if path is None else [Path(path)], names)
+        tables = [path] if path is not None else [one for one in inside if one.suffix.lower() == ".csv"]
+        table = _table_of_names(folder, inside, tables, names)
     columns = chosen_columns(table, named)
     spacing = about.get("spacing_m") is None and first_georeference(sorted(folder.rglob("*"))) is None
     columns = {
@@ -199,7 +200,7 @@ def _only_table(folder: Path, files: list[Path]) -> Path:
     return tables[0]
 
 
-def _table_of_names(folder: Path, files: list[Path], pattern: str) -> CsvTable:
+def _table_of_names(folder: Path, files: list[Path], tables: list[Any], pattern: str) -> CsvTable:
     """Make the table of the columns in the pictures' names."""
     *parts, end = _COLUMN.split(pattern)  # texts before columns, and these
     if not parts or len(set(columns := parts[1::2])) < len(columns) or "file" in columns:
@@ -207,7 +208,7 @@ def _table_of_names(folder: Path, files: list[Path], pattern: str) -> CsvTable:
             f"`names` is {shown(pattern)}; give a name with columns in braces, each once, such as "
             "{azimuth}_{grazing}.png"
         )
-    if tables := [path for path in files if path.suffix.lower() == ".csv"]:
+    if tables:
         raise SarsplatError(f"`names` replaces the table {tables[0]}; leave `names` out, or move the table elsewhere")
     texts = zip(map(re.escape, parts[::2]), columns, strict=True)
     wanted = re.compile("".join(f"{text}([^/]+?)" for text, _ in texts) + re.escape(end))

@@ -97,8 +97,8 @@ class Levels:
         return iteration >= begin + share * (self.iterations - begin)
 
     def left(self, step: int) -> float:
-        """Share of the iterations at full resolution that are left after this number of steps, at most 1."""
-        return min(1.0, (self.iterations - step) / (self.iterations - self._begins[-1]))
+        """Share of the iterations at full resolution that are left after a number of steps that is no smaller."""
+        return (self.iterations - step) / (self.iterations - self._begins[-1])
 
     def factor(self, iteration: int) -> int:
         """Level of an iteration, counted from 0."""

@@ -15,7 +15,7 @@ from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.evaluation.azimuths import around
 from sarsplat.evaluation.matching import Match, Matcher
-from sarsplat.evaluation.templates import Window, extents_m, grid_for, phase_of, templates, window_around
+from sarsplat.evaluation.templates import Window, extents_m, floored, grid_for, phase_of, templates, window_around
 from sarsplat.geometry import View
 from sarsplat.memory import required
 from sarsplat.names import Quantity, Side
@@ -159,7 +159,8 @@ def _matched(
         groups.setdefault((chip.view, phase_of(chip.grid)), []).append(index)
     with progress("locate", len(chips) + len(groups) * len(runs), quiet) as shows:
         for (view, _), members in sorted(groups.items(), key=str):
-            pixels = chips[members[0]].grid
+            shown = [chips[index].grid for index in members]
+            pixels = replace(shown[0], rows=max(one.rows for one in shown), columns=max(one.columns for one in shown))
             grids = [grid_for(run, pixels) for run in runs]
             extents = extents_m(runs, view) if window_m is None else [(-window_m / 2, window_m / 2)] * 2
             windows = {index: window_around(extents, [chips[index].grid, *grids]) for index in members}
@@ -173,7 +174,7 @@ def _matched(
                 shows.advance(1, f"rendering {target_of(run)}")
                 rendered.append(templates(run, views, largest, grid, ground))
             for window in dict.fromkeys(windows.values()):
-                matcher = Matcher([window.within(largest, one) for one in rendered], window)
+                matcher = Matcher([floored(window.within(largest, one)) for one in rendered], window)
                 samples = replace(pixels, rows=window.size[0], columns=window.size[1]).independent_samples
                 for index in (index for index in members if windows[index] == window):
                     chip = chips[index]

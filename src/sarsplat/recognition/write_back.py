@@ -20,8 +20,9 @@ _MAX_STD_DEG, _MAX_REVERSED = 10.0, 0.05
 def write_back(located: Located, dataset: str | Path, out: str | Path, *, overwrite: bool = False) -> Dataset:
     """Write a copy of a dataset that includes its images without azimuth, seen from where they were located.
 
-    Each has the azimuth of its labelled class, or else of the class found, with its standard deviation, which training
-    refines. Azimuths in the dataset stay. Images whose azimuth is too uncertain, or that may be reversed, stay without.
+    Each has the azimuth of its labelled class, or of the class found if it has no label, with its standard deviation,
+    by which training refines azimuths of training images. Azimuths in the dataset stay. Images whose azimuth is too
+    uncertain, that may be reversed, or whose class no run has, stay without.
 
     Parameters
     ----------
@@ -88,5 +89,7 @@ def _given_class(located: Located, index: int) -> tuple[float, float, float]:
 
 
 def _uncertain(located: Located, index: int) -> bool:
+    if located.chips[index].target and located.labels[index] < 0:  # none of the runs is of its class
+        return True
     _, std, reversed_odds = _given_class(located, index)
     return std > _MAX_STD_DEG or reversed_odds > _MAX_REVERSED

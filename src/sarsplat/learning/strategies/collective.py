@@ -21,13 +21,14 @@ from sarsplat.settings.config import Config
 
 _PITCHES = (4, 8)  # spacings of the nodes of the lattices, in resolution cells
 _EVERY = 4  # steps between two moves, each as long as those steps together
+_WHOLE = 2.0**36  # largest value in a sum, as a whole number: 2²⁷ of them fit into 64 bits
 
 
 class CollectiveMoves(Configured):
     """Adam's steps on the nodes of two lattices, at full resolution; Gaussians follow by trilinear interpolation.
 
     Coarser images do not resolve what a node moves, such as a house. Steps shrink to zero, so that edges, which are
-    carried along, return to their places.
+    carried along, return to their places. Mean squares begin at 0: the first moves, of the largest bulges, are longer.
     """
 
     order = 8
@@ -43,7 +44,7 @@ class CollectiveMoves(Configured):
         return cls(smoothing.collective) if wanted else None
 
     def initial_state(self, params: dict[str, Tensor]) -> State:
-        return State(whole={str(pitch): params["means"].detach().new_zeros(0) for pitch in _PITCHES})
+        return State(whole={str(pitch): params["means"].detach().new_zeros(0, 4) for pitch in _PITCHES})
 
     @torch.no_grad()
     def step_post_backward(
@@ -53,7 +54,7 @@ class CollectiveMoves(Configured):
         if levels.coarsest == 1 or step % _EVERY or levels.factor(step - 1) > 1:  # vehicles have no large surfaces
             return
         means, moves = params["means"].detach(), torch.zeros_like(params["means"])
-        unbiased, beta1, beta2 = math.sqrt(1 - BETA2**step) / (1 - BETA1**step), BETA1**_EVERY, BETA2**_EVERY
+        beta1, beta2 = BETA1**_EVERY, BETA2**_EVERY
         for pitch in _PITCHES:
             lattice = Lattice.around(frame.region, pitch * frame.cell_m, means)
             if len(state.whole[str(pitch)]) != lattice.count:
@@ -63,7 +64,7 @@ class CollectiveMoves(Configured):
             gradient = (mean - beta1 * before) / (1 - beta1)  # mean of the gradients since, which the momentum contains
             before.copy_(mean)
             square.mul_(beta2).add_((gradient**2).sum(1, keepdim=True), alpha=1 - beta2)
-            moves -= lattice.interpolated(unbiased * mean / (square.sqrt() + EPSILON))
+            moves -= lattice.interpolated(mean / (square.sqrt() + EPSILON))
         means += _EVERY * self._rate * levels.left(step) * frame.cell_m * moves
         optimizers.constrain()
 
@@ -91,11 +92,12 @@ class Lattice:
         return cls(math.prod(shape), torch.stack(nodes), torch.stack(weights))
 
     def sums(self, values: Float[Tensor, "n k"]) -> Float[Tensor, "count k"]:
-        """Sum the Gaussians' values at the nodes, with their weights."""
-        total = values.new_zeros(self.count, values.shape[1])
+        """Sum the Gaussians' values at the nodes, with their weights; as whole numbers, whose order does not matter."""
+        scale = _WHOLE / values.abs().max().double().clamp(min=torch.finfo(values.dtype).tiny)
+        total = torch.zeros(self.count, values.shape[1], dtype=torch.int64, device=values.device)
         for nodes, weights in zip(self.nodes, self.weights, strict=True):
-            total.index_add_(0, nodes, weights * values)
-        return total
+            total.index_add_(0, nodes, (weights * values * scale).long())
+        return (total / scale).to(values.dtype)
 
     def interpolated(self, values: Float[Tensor, "count k"]) -> Float[Tensor, "n k"]:
         """Interpolate values of the nodes at the Gaussians."""

@@ -30,7 +30,7 @@ class State:
     rows: dict[str, Tensor] = field(default_factory=dict)
     """Tensors with a row for each Gaussian; rows come and go with it and are 0 for a new one."""
     whole: dict[str, Tensor] = field(default_factory=dict)
-    """Tensors of other shapes, which are constant; one that begins empty gets its shape in a step."""
+    """Tensors of other shapes, which are constant; one that begins empty gets its rows in a step."""
     added: tuple[str, ...] = ()
     """Names that may be missing in checkpoints of earlier versions; they keep their initial value."""
 
@@ -47,7 +47,7 @@ class State:
         for own in (self.rows, self.whole):
             for name, like in own.items():
                 if name in tensors or name not in self.added:
-                    shape = like.shape if like.numel() else tensors[name].shape
+                    shape = like.shape if like.numel() else (len(tensors[name]), *like.shape[1:])
                     own[name] = fitting(tensors, name, like.dtype, shape).to(like.device, copy=True)
 
 
