@@ -118,7 +118,7 @@ def read_picture_table(folder: Path, about: AboutPictures, *, compass: bool = Fa
         path = _only_table(folder, inside) if path is None else Path(path)
         table = read_table(path, "a table with a row for each picture")
     else:
-        tables = [path] if path is not None else [one for one in inside if one.suffix.lower() == ".csv"]
+        tables = [Path(path)] if path is not None else [one for one in inside if one.suffix.lower() == ".csv"]
         table = _table_of_names(folder, inside, tables, names)
     columns = chosen_columns(table, named)
     spacing = about.get("spacing_m") is None and first_georeference(sorted(folder.rglob("*"))) is None
@@ -200,7 +200,7 @@ def _only_table(folder: Path, files: list[Path]) -> Path:
     return tables[0]
 
 
-def _table_of_names(folder: Path, files: list[Path], tables: list[Any], pattern: str) -> CsvTable:
+def _table_of_names(folder: Path, files: list[Path], tables: list[Path], pattern: str) -> CsvTable:
     """Make the table of the columns in the pictures' names."""
     *parts, end = _COLUMN.split(pattern)  # texts before columns, and these
     if not parts or len(set(columns := parts[1::2])) < len(columns) or "file" in columns:
