@@ -158,8 +158,9 @@ def about(lines: Sequence[Mapping[str, str]]) -> str:
     images, calibrated = lines[0]["images"], lines[0]["calibrated by"]
     return (
         f"{classes} classes of MSTAR, each learned from a few chips at {TRAINING}°, evenly spaced in azimuth, by the "
-        f"preset `measured` with {'seed 0' if seeds == 1 else f'{seeds} seeds'}; {images} chips at {TEST}°, azimuth "
-        f"unknown. The odds are calibrated by {calibrated} other chips at {TRAINING}°; azimuth errors are those of the "
+        f"preset `measured` with {'seed 0' if seeds == 1 else f'{seeds} seeds'}; {images} chips at {TEST}°, evenly "
+        f"chosen in azimuth, which is unknown. The odds are calibrated by {calibrated} other chips at {TRAINING}°; "
+        "azimuth errors are those of the "
         f"labelled class. An image is {100 / int(images):.2g} %.\n"
     )
 
@@ -178,7 +179,7 @@ def page(experiment: Experiment, lines: Sequence[Mapping[str, str]]) -> str:
     )
     return (
         f"# {experiment.title}\n\n{about(lines)}\n{experiment.about}\n\n**Found.** {found}\n\n{table(lines)}\n"
-        f"Figures: [{RUNS_FILE}]({RUNS_FILE}). Written by `make tables` from code version {codes}.\n"
+        f"Figures: [{RUNS_FILE}]({RUNS_FILE}). Written by `experiments/recognise.py` from code version {codes}.\n"
     )
 
 
