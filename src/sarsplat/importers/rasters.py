@@ -27,8 +27,8 @@ _NORMALISATIONS: dict[str, Backscatter] = dict(beta_nought="beta0", sigma_nought
 _STATED = re.compile(r'"(?:\w+:)?(scale_factor|calibration_factor|radiometry)"\s*:\s*"?([\w.+-]+)', re.IGNORECASE)
 """A factor or its normalisation in JSON, perhaps with a prefix."""
 _LONGEST_JSON = 1 << 22
-_FREE_BYTES, _BYTES_PER_BYTE = 4 << 20, 1032
-"""Maximum unpacked size of a picture: bytes, or bytes for each byte of its file (what DEFLATE reaches) if more."""
+_FREE_VALUES, _VALUES_PER_BYTE = 4 << 20, 1032
+"""Maximum number of values in a picture, or for each byte of its file (as DEFLATE packs zeros) if more."""
 _GEO_KEYS = 34735
 _MEANINGS = {274, 33550, 33922, 34264, _GEO_KEYS, 42112, 42113}
 """Tags of orientation, places, scales and "no data"."""
@@ -73,10 +73,8 @@ def read_raster(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]:
 def refuse_bomb(path: Path, values: int) -> None:
     """Raise if a picture unpacks to more than its file can hold."""
     size = path.stat().st_size
-    if 2 * values > max(_FREE_BYTES, _BYTES_PER_BYTE * size):
-        raise SarsplatError(
-            f"{path} has {size} bytes but claims to hold {2 * values} unpacked; save it without compression"
-        )
+    if values > max(_FREE_VALUES, _VALUES_PER_BYTE * size):
+        raise SarsplatError(f"{path} has {size} bytes but claims to hold {values} values; save it without compression")
 
 
 def sidecar_scaling(path: Path) -> Tags:
