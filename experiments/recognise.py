@@ -29,7 +29,7 @@ from scipy.ndimage import shift
 
 from sarsplat import Dataset, ImageGrid, Run, View, locate
 from sarsplat.data import write_bytes
-from sarsplat.evaluation import rotated_average
+from sarsplat.evaluation.baselines import levelled_average
 from sarsplat.executors import Means
 from sarsplat.sweeps.results import Result
 from sarsplat.sweeps.work import RUNS
@@ -71,8 +71,7 @@ class Averaged(Run):
     def render(self, views: Sequence[View], grid: ImageGrid | None = None) -> Float64[np.ndarray, "v rows columns"]:
         """On its own grid, or that grid displaced by parts of a pixel."""
         train = self.dataset.select("train")
-        power = (train.power / np.median(train.power, axis=(1, 2), keepdims=True)).astype(np.float64)
-        images = rotated_average(power, train.views, views, train.grid)
+        images = levelled_average(train, views)
         if grid is None:
             return images
         across, away = (np.subtract(train.grid.center_m, grid.center_m) / grid.spacing_m).tolist()

@@ -120,7 +120,7 @@ def test_own_loss(tmp_path):
 def test_watch_training(tmp_path):
     printed = run_python(str(ROOT / "examples" / "watch_training.py"), folder=tmp_path)
     losses = [float(value) for value in re.findall(r"loss ([\d.]+)", printed)]
-    assert losses == sorted(losses, reverse=True)
+    assert losses[-1] == min(losses) < max(losses) / 2
     assert len(list(tmp_path.glob("step-*.png"))) == len(losses) > 1
 
 

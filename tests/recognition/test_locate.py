@@ -119,6 +119,11 @@ def test_sizes_of_images_change_neither_shift_nor_window_of_others(
         np.testing.assert_allclose(found.shift_m[8:, 1], [(0.6, 0.3)] * 2)
         assert np.abs(found.azimuth_errors_deg[8:]).max() < 1
         np.testing.assert_array_equal(found.nats[:8], located.nats[:8])
+    views, finer = [entry.view for entry in entries], replace(GRID, spacing_m=(0.25, 0.25))
+    grids = [replace(finer, rows=rows, columns=columns) for rows, columns in ((40, 38), (60, 58))]
+    small, large = (Dataset(grid, entries, runs["long"].render(views, grid), target="long") for grid in grids)
+    found, other = (locate([runs["long"]], each, **QUICK) for each in ([small, large], [large, small]))
+    np.testing.assert_array_equal(found.nats, other.nats[[2, 3, 0, 1]])
 
 
 def numbers(located: Located) -> list[dict[str, str]]:

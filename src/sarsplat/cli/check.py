@@ -8,7 +8,7 @@ import tyro
 from rich.table import Table
 
 from sarsplat.cli import console
-from sarsplat.cli.arguments import OptionalFile, refuse_existing, require_ending
+from sarsplat.cli.arguments import OptionalFile, OptionalFolder, refuse_existing, require_ending
 from sarsplat.cli.from_signature import CONTRADICTED
 from sarsplat.errors import counted
 
@@ -18,7 +18,7 @@ def check(
     *,
     out: OptionalFile = None,
     images: int = 12,
-    levelled: OptionalFile = None,
+    levelled: OptionalFolder = None,
     verbose: bool = False,
     overwrite: bool = False,
 ) -> int:

@@ -10,6 +10,7 @@ from sarsplat.data import Dataset
 from sarsplat.evaluation.images import smoothed
 from sarsplat.evaluation.metrics import IMAGE_METRICS, ImagePair, compute_all, image_parameters
 from sarsplat.geometry import ImageGrid, View
+from sarsplat.radiometry import LEAST_POWER
 
 _KERNEL = 0.4
 """Width σ of the azimuth kernel of `rotated_average`, in mean spacings 360°/K of the training chips.
@@ -68,6 +69,12 @@ def rotated_average(
         for k in near:
             image += weight[k] / weight[near].sum() * _turned(smooth[k], train_views[k], view, turn[k], grid)
     return predicted
+
+
+def levelled_average(train: Dataset, views: Sequence[View]) -> Float64[np.ndarray, "v rows columns"]:
+    """Predict each view by the rotated average of images over their medians, as chips may have scales of their own."""
+    levels = np.median(train.power, axis=(1, 2), keepdims=True).astype(np.float64)
+    return rotated_average(train.power / np.maximum(levels, LEAST_POWER), train.views, views, train.grid)
 
 
 def baseline_scores(dataset: Dataset, reasons: dict[str, str]) -> dict[str, dict[str, dict[str, float | None]]]:

@@ -4,6 +4,7 @@ import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,7 +17,7 @@ from sarsplat.data.files import open_file
 from sarsplat.data.folders import only_writer
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation.azimuths import azimuth_errors
-from sarsplat.evaluation.baselines import baseline_scores, rotated_average
+from sarsplat.evaluation.baselines import baseline_scores, levelled_average
 from sarsplat.evaluation.capon import capon_points
 from sarsplat.evaluation.images import MaskPair, Stack, UndefinedScore, predicted_masks
 from sarsplat.evaluation.left_open import missing
@@ -246,12 +247,7 @@ def _azimuth_errors(
     run: Run, dataset: Dataset, split: str, shown: Reporter
 ) -> Sequence[Float64[np.ndarray, " v"] | UndefinedScore]:
     """Errors of the azimuths that are found by the run and by the rotated average, degrees, in the hardest set."""
-    tested, train = dataset.select(split), dataset.select("train")
-
-    def average(views: Sequence[View]) -> Stack:
-        power = train.power / np.median(train.power, axis=(1, 2), keepdims=True)  # chips may have scales of their own
-        return rotated_average(power.astype(np.float64), train.views, views, train.grid)
-
+    tested = dataset.select(split)
     try:
         if split != (hardest := _hardest(dataset)):  # each set would take a seventh of an evaluation
             raise UndefinedScore(
@@ -260,7 +256,7 @@ def _azimuth_errors(
         if not LOCATABLE.met(tested):
             raise UndefinedScore(LOCATABLE.otherwise)
         shown.advance(0, "azimuths of the test images")
-        return azimuth_errors(run, tested, [run.render, average])
+        return azimuth_errors(run, tested, [run.render, partial(levelled_average, dataset.select("train"))])
     except UndefinedScore as undefined:
         return [undefined] * 2
 

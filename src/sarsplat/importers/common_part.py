@@ -84,11 +84,8 @@ def _without_empty_corners(images: Sequence[MeasuredImage]) -> tuple[list[Measur
 
 def _empty_corners(zeros: Bool[np.ndarray, "rows columns"]) -> Bool[np.ndarray, "rows columns"]:
     """Return zeros connected with a corner, in pieces thicker than single dark pixels."""
-    from scipy.ndimage import (
-        label,
-        maximum_filter,
-        minimum_filter,
-    )  # here: whoever asks for a file's facts need not load SciPy
+    # here: whoever asks for a file's facts need not load SciPy
+    from scipy.ndimage import label, maximum_filter, minimum_filter
 
     share = float(zeros.mean())
     if not 0 < share < 1:

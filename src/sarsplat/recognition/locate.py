@@ -165,7 +165,7 @@ def _matched(
             extents = extents_m(runs, view) if window_m is None else [(-window_m / 2, window_m / 2)] * 2
             windows = {index: window_around(extents, [chips[index].grid, *grids]) for index in members}
             largest = Window.around([*windows.values()])
-            down, across = largest.margins
+            down, across = largest.margins  # of every window of the group
             pixel_count = (largest.size[0] + 2 * down) * (largest.size[1] + 2 * across)
             needed = _BYTES * len(runs) * steps * pixel_count
             required("matching images", needed, "give fewer runs, a larger step_deg or a smaller window_m")

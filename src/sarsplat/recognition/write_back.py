@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from sarsplat.data import Dataset, DatasetEntry, read_dataset, write_dataset
-from sarsplat.data.sidecar import UNPLACED, read_unplaced, unplaced_in
-from sarsplat.errors import SarsplatError, counted
+from sarsplat.data.sidecar import MASKS, UNPLACED, read_unplaced, unplaced_in
+from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 from sarsplat.geometry.view import seen_alike
 from sarsplat.recognition.located import Located
 
@@ -22,7 +23,7 @@ def write_back(located: Located, dataset: str | Path, out: str | Path, *, overwr
 
     Each has the azimuth of its labelled class, or of the class found if it has no label, with its standard deviation,
     by which training refines azimuths of training images. Azimuths in the dataset stay. Images whose azimuth is too
-    uncertain, that may be reversed, or whose class no run has, stay without.
+    uncertain, that may be reversed, or whose class no run has, stay without. Masks are not copied, with a warning.
 
     Parameters
     ----------
@@ -49,7 +50,7 @@ def write_back(located: Located, dataset: str | Path, out: str | Path, *, overwr
             f"{dataset} is complex, but its images without azimuth are power; they cannot be added to it"
         )
     found = {chip.name: k for k, chip in enumerate(located.chips) if np.isnan(chip.azimuth_deg)}
-    entries, images, left = [], [], []
+    entries, images, chips, left = [], [], [], []
     for one in unplaced_in(before.source, before):
         power, index = read_unplaced(before, Path(dataset), one["file"]), found.get(one["name"])
         if index is None or not np.array_equal(power, located.chips[index].power) or _uncertain(located, index):
@@ -59,15 +60,20 @@ def write_back(located: Located, dataset: str | Path, out: str | Path, *, overwr
         view = seen_alike(before.views, azimuth, one["grazing_deg"])
         entries.append(DatasetEntry(view, one["set"], one["name"], max(std, 0.01)))
         images.append(power)
+        chips.append({name: one[name] for name in ("name", "serial", "depression_deg") if name in one})
     if not entries:
         raise SarsplatError(
             f"no image of {dataset} gets an azimuth: none lacks one, was located, and is certain enough"
         )
+    if (Path(dataset) / MASKS).is_dir():
+        warnings.warn(f"left the masks of {dataset} out of {out}", SarsplatWarning, stacklevel=2)
     source = {name: value for name, value in before.source.items() if name != UNPLACED}
     source["assumptions"] = [
         *source.get("assumptions", []),
         f"the azimuths of {counted(len(entries), 'image')} are estimates by locate",
     ]
+    if "chips" in source:
+        source["chips"] = [*source["chips"], *chips]
     if left:
         source[UNPLACED] = [one for one, _ in left]
     after = replace(
