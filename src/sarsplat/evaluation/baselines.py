@@ -72,7 +72,7 @@ def rotated_average(
 
 
 def levelled_average(train: Dataset, views: Sequence[View]) -> Float64[np.ndarray, "v rows columns"]:
-    """Predict each view by the rotated average of images over their medians, as chips may have scales of their own."""
+    """Predict each view by the rotated average of images over their medians, as scales of chips may differ."""
     levels = np.median(train.power, axis=(1, 2), keepdims=True).astype(np.float64)
     return rotated_average(train.power / np.maximum(levels, LEAST_POWER), train.views, views, train.grid)
 
