@@ -99,6 +99,10 @@ def test_gaussians_in_gltf_are_those_of_the_ply(tmp_path):
         in_glb(tmp_path / "c.glb", gaussians, **node)
         with pytest.raises(SarsplatError, match=r"cannot be read as Gaussians in glTF \(.*; write it as a PLY of 3DGS"):
             read_gaussians_ply(tmp_path / "c.glb")
+    linear = (tmp_path / "a.glb").read_bytes().replace(b'"srgb_rec709_display"', b'"lin_rec709_display" ')
+    (tmp_path / "c.glb").write_bytes(linear)
+    with pytest.raises(SarsplatError, match="kernel ellipse, colorSpace lin_rec709_display"):
+        read_gaussians_ply(tmp_path / "c.glb")
 
 
 @pytest.mark.parametrize("ends", ["\r\n", "\r"])

@@ -221,7 +221,7 @@ def test_scale_in_a_sidecar(tmp_path, ending):
     np.testing.assert_allclose(read_values(path, "power", 1.0, 0.0).image, EIGHT * 0.5 + 3)
 
 
-@pytest.mark.parametrize("compression", [None, "zlib", "beside"])
+@pytest.mark.parametrize("compression", [None, "zlib", "a.json", "a_extended.json"])
 @pytest.mark.parametrize(
     ("said", "factor", "by", "kind"),
     [
@@ -236,10 +236,11 @@ def test_scale_in_a_sidecar(tmp_path, ending):
     ],
 )
 def test_factors_of_producers(tmp_path, said, factor, by, kind, compression):
-    told = {"description": json.dumps(said), "compression": compression} if compression != "beside" else {}
+    beside = compression is not None and compression.endswith(".json")
+    told = {} if beside else {"description": json.dumps(said), "compression": compression}
     path = written(tmp_path, "a.tif", SIXTEEN, metadata=None, **told)
-    if not told:
-        path.with_suffix(".json").write_text(json.dumps(said))
+    if beside:
+        path.with_name(compression).write_text(" " * (5 << 20) + json.dumps(said))
     values = read_values(path, None, 1.0, 0.0)
     assert (values.power_factor, values.tags.backscatter) == (pytest.approx(factor), kind)
     told = [text for text in values.assumptions if "each file's" in text]

@@ -28,6 +28,7 @@ from sarsplat.names import Colour
 
 EXTENSION = "KHR_gaussian_splatting"
 _PREFIX = f"{EXTENSION}:"
+_KIND = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}
 _HARMONICS = [f"{_PREFIX}SH_DEGREE_{degree}_COEF_{k}" for degree in range(4) for k in range(2 * degree + 1)]
 _DEGREES = {(degree + 1) ** 2 for degree in range(4)}
 _Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
@@ -68,7 +69,7 @@ def glb_bytes(gaussians: Gaussians, colour: Colour) -> bytes:
     primitive = {
         "mode": _POINTS,
         "attributes": {name: k for k, name in enumerate(packed)},
-        "extensions": {EXTENSION: {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}},
+        "extensions": {EXTENSION: _KIND},
     }
     scene = {
         "asset": {"version": "2.0", "generator": "sarsplat"},
@@ -156,8 +157,8 @@ def _part(
 ) -> dict[str, Float64[np.ndarray, " n"]]:
     """Return the Gaussians of a primitive, transformed by its node, z up."""
     about, attributes = primitive["extensions"][EXTENSION], primitive["attributes"]
-    if about.get("kernel") != "ellipse" or about.get("extensions"):
-        raise ValueError(f"kernel {about.get('kernel')}, extensions {', '.join(about.get('extensions', ()))}")
+    if {name: about.get(name) for name in _KIND} != _KIND or about.get("extensions"):
+        raise ValueError(", ".join(f"{name} {value}" for name, value in about.items()))
     linear = _Y_UP.T @ matrix[:3, :3]
     size = np.cbrt(np.linalg.det(linear))
     if not (size > 0 and np.allclose(linear @ linear.T, size**2 * np.eye(3), rtol=0, atol=_EVEN * size**2)):

@@ -12,7 +12,7 @@ from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation.images import Stack, UndefinedScore
 from sarsplat.evaluation.matching import Matcher
-from sarsplat.evaluation.templates import extents_m, floored, window_around
+from sarsplat.evaluation.templates import extents_m, floored, predicted, require_memory, window_around
 from sarsplat.geometry import View
 from sarsplat.runs import Run
 
@@ -65,14 +65,17 @@ def azimuth_errors(
     Raises
     ------
     UndefinedScore
-        If there are few images, or these are too small or black around the origin.
+        If there are few images, or these are too small, too large for the memory, or black around the
+        origin.
     """
     if len(tested) < FEWEST:
         raise UndefinedScore(f"azimuths are found in sets of at least {FEWEST} images; these are {len(tested)}")
     found, views = np.empty((len(predictors), len(tested))), [without_azimuth(view) for view in tested.views]
+    steps = round(360 / STEP_DEG)
     for view in dict.fromkeys(views):
         try:
             window = window_around(extents_m([run], view), [tested.grid, run.grid])
+            require_memory(window, steps, "give smaller images")
         except SarsplatError as error:
             raise UndefinedScore(str(error)) from error
         if not (window.cut(tested.power, tested.grid).max(axis=(1, 2)) > 0).all():
@@ -80,9 +83,9 @@ def azimuth_errors(
         cut = window.cut(tested.power, tested.grid, window.margins)
         members = [k for k, one in enumerate(views) if one == view]
         for azimuths, predict in zip(found, predictors, strict=True):
-            predicted = predict(around(view, round(360 / STEP_DEG)))
-            if not (inner := window.cut(predicted, tested.grid, window.margins)).any(axis=(1, 2)).all():
+            images = predicted(predict, around(view, steps), window, tested.grid)
+            if not images.any(axis=(1, 2)).all():
                 raise UndefinedScore("the prediction is black around the origin; reconstruct with a noise floor")
-            matcher = Matcher([floored(inner)], window)
+            matcher = Matcher([floored(images)], window)
             azimuths[members] = [matcher(cut[k]).azimuth_deg[0] for k in members]
     return [*signed(found - np.array([view.azimuth_deg for view in tested.views]))]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -13,6 +13,7 @@ from jaxtyping import Float32, Real
 
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, RayGrid, View
+from sarsplat.memory import required
 from sarsplat.radiometry import DYNAMIC_RANGE_DB, from_db
 from sarsplat.renderer import render
 from sarsplat.runs import Run
@@ -30,7 +31,10 @@ _MASKS = 12
 """Number of azimuths at which the runs' targets and shadows are outlined."""
 
 _AT_A_TIME = 8
-"""Views of flat ground that are rendered at once."""
+"""Views that are rendered at once."""
+
+_BYTES = 27
+"""Maximum memory of a prediction while it is prepared for matching, bytes per pixel."""
 
 
 @dataclass(frozen=True)
@@ -140,6 +144,23 @@ def grid_for(run: Run, pixels: ImageGrid) -> ImageGrid:
     return replace(own, center_m=(across_m + across * width, away_m + away * height)) if away or across else own
 
 
+def require_memory(window: Window, count: int, remedy: str) -> None:
+    """Raise if matching with so many predictions takes more than the free memory."""
+    rows, columns = (side + 2 * margin for side, margin in zip(window.size, window.margins, strict=True))
+    required("matching images", _BYTES * count * rows * columns, remedy)
+
+
+def predicted(
+    predict: Callable[[Sequence[View]], Real[np.ndarray, "v rows columns"]],
+    views: Sequence[View],
+    window: Window,
+    grid: ImageGrid,
+) -> Real[np.ndarray, "v m n"]:
+    """Predict images on a grid, a few at a time, and cut out the window with its margins."""
+    parts = (views[first : first + _AT_A_TIME] for first in range(0, len(views), _AT_A_TIME))
+    return np.concatenate([window.cut(predict(part), grid, window.margins) for part in parts])
+
+
 def templates(
     run: Run, views: Sequence[View], window: Window, grid: ImageGrid, ground: Literal["learned", "flat"]
 ) -> Float32[np.ndarray, "v m n"]:
@@ -149,10 +170,12 @@ def templates(
             f"a run of {run.target} by {run.method} renders only the pixels that it was trained with; give images with "
             "these, and with rows and columns that are odd where the training's are"
         )
-    images = (
-        run.render(views, None if grid == run.grid else grid) if ground == "learned" else _on_flat(run, views, grid)
-    )
-    return window.cut(images, grid, window.margins)
+    on_grid = None if grid == run.grid else grid
+
+    def predict(some: Sequence[View]) -> Float32[np.ndarray, "v rows columns"]:
+        return run.render(some, on_grid) if ground == "learned" else _on_flat(run, some, grid)
+
+    return predicted(predict, views, window, grid)
 
 
 def floored(power: Real[np.ndarray, "v m n"]) -> Float32[np.ndarray, "v m n"]:
@@ -172,14 +195,11 @@ def _on_flat(run: Run, views: Sequence[View], grid: ImageGrid) -> Float32[np.nda
         "ground": replace(learned, gamma0=learned.gamma0.mean()),
         "echoes": model.echoes(),
     }
-    done = []
-    for first in range(0, len(views), _AT_A_TIME):
-        shot = model.shot(views[first : first + _AT_A_TIME], grid)
-        rendering = render(scene, shot.views, shot.grid, shift=shot.shift, **how)
-        power = rendering.images[:, shot.power_channel]
-        assert rendering.ground is not None
-        target = (power - rendering.ground).clamp(min=0) / power.clamp(min=torch.finfo(power.dtype).tiny)
-        plain, textured = (model.developed(rendering.images, shot, estimated) for estimated in (False, True))
-        both = plain + target[:, None] * (textured - plain)
-        done.append(both[:, shot.power_channel].clamp(min=0).cpu().numpy())
-    return np.concatenate(done)
+    shot = model.shot(views, grid)
+    rendering = render(scene, shot.views, shot.grid, shift=shot.shift, **how)
+    power = rendering.images[:, shot.power_channel]
+    assert rendering.ground is not None
+    target = (power - rendering.ground).clamp(min=0) / power.clamp(min=torch.finfo(power.dtype).tiny)
+    plain, textured = (model.developed(rendering.images, shot, estimated) for estimated in (False, True))
+    both = plain + target[:, None] * (textured - plain)
+    return both[:, shot.power_channel].clamp(min=0).cpu().numpy()

@@ -26,7 +26,6 @@ _SIDECAR = ".aux.xml"
 _NORMALISATIONS: dict[str, Backscatter] = dict(beta_nought="beta0", sigma_nought="sigma0", gamma_nought="gamma0")
 _STATED = re.compile(r'"(?:\w+:)?(scale_factor|calibration_factor|radiometry)"\s*:\s*"?([\w.+-]+)', re.IGNORECASE)
 """A factor or its normalisation in JSON, perhaps with a prefix."""
-_LONGEST_JSON = 1 << 22
 _FREE_VALUES, _VALUES_PER_BYTE = 4 << 20, 1032
 """Maximum number of values in a picture, or for each byte of its file (as DEFLATE packs zeros) if more."""
 _GEO_KEYS = 34735
@@ -100,9 +99,10 @@ def _scaling(path: Path, file: Any, bands: Iterable[int]) -> dict[str, Any]:
 
 def _calibration(path: Path, text: str) -> dict[str, Any]:
     """Return producers' factors and the normalisation of the power, by tags or the JSON of a description or beside."""
-    if (beside := path.with_suffix(".json")).is_file():
-        with open_file(beside) as file:
-            text += file.read(_LONGEST_JSON).decode("utf-8", "replace")
+    for beside in (path.with_suffix(".json"), path.with_name(f"{path.stem}_extended.json")):
+        if beside.is_file():
+            with open_file(beside) as file:
+                text += file.read().decode("utf-8", "replace")
     stated = {(name.lower().replace("_", "-"), value.lower()) for name, value in _STATED.findall(text)}
     numbers = {(name, parsed(value)) for name, value in stated if name in FACTORS}
     kind = {_NORMALISATIONS.get(value) for name, value in stated if name == "radiometry"} or {None}

@@ -15,9 +15,17 @@ from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.evaluation.azimuths import around
 from sarsplat.evaluation.matching import Match, Matcher
-from sarsplat.evaluation.templates import Window, extents_m, floored, grid_for, phase_of, templates, window_around
+from sarsplat.evaluation.templates import (
+    Window,
+    extents_m,
+    floored,
+    grid_for,
+    phase_of,
+    require_memory,
+    templates,
+    window_around,
+)
 from sarsplat.geometry import View
-from sarsplat.memory import required
 from sarsplat.names import Quantity, Side
 from sarsplat.progress import progress
 from sarsplat.radiometry import to_db
@@ -32,9 +40,6 @@ _LABELLED = 24
 
 _FAR_DEG = 14.0
 """Distance from the grazing angles of a training beyond which a warning is given."""
-
-_BYTES = 27
-"""Maximum memory of a template while it is prepared, bytes per pixel."""
 
 _UNKNOWN_DEG = 104.0
 """Standard deviation of an azimuth of which nothing is known, degrees."""
@@ -165,10 +170,9 @@ def _matched(
             extents = extents_m(runs, view) if window_m is None else [(-window_m / 2, window_m / 2)] * 2
             windows = {index: window_around(extents, [chips[index].grid, *grids]) for index in members}
             largest = Window.around([*windows.values()])
+            remedy = "give fewer runs, a larger `step_deg` or a smaller `window_m`"
+            require_memory(largest, len(runs) * steps, remedy)
             down, across = largest.margins  # of every window of the group
-            pixel_count = (largest.size[0] + 2 * down) * (largest.size[1] + 2 * across)
-            needed = _BYTES * len(runs) * steps * pixel_count
-            required("matching images", needed, "give fewer runs, a larger step_deg or a smaller window_m")
             views, rendered = around(view, steps), []
             for run, grid in zip(runs, grids, strict=True):
                 shows.advance(1, f"rendering {target_of(run)}")
