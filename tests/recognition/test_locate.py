@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -126,6 +127,16 @@ def test_sizes_of_images_change_neither_shift_nor_window_of_others(
     np.testing.assert_array_equal(found.nats, other.nats[[2, 3, 0, 1]])
 
 
+def test_labelled_azimuths_that_images_contradict_are_named(runs: dict[str, Run], images: list[Dataset]) -> None:
+    entries, found = images[0].entries, locate([runs["long"]], images[0], **QUICK)
+    assert len(found.contradicted) == 0
+    wrong = replace(entries[2], view=replace(entries[2].view, azimuth_deg=(entries[2].view.azimuth_deg + 60) % 360))
+    found = locate([runs["long"]], replace(images[0], entries=(*entries[:2], wrong, *entries[3:])), **QUICK)
+    assert re.fullmatch(
+        r"1 of 8, by -\d\d° in the median: 002", found.scores_in_words()["labelled azimuths contradicted"]
+    )
+
+
 def numbers(located: Located) -> list[dict[str, str]]:
     return sorted(located.rows(), key=lambda row: (row["labelled_class"], row["image"]))
 
@@ -231,7 +242,7 @@ def test_images_without_azimuth_are_located_too(
     assert abs(placed.view.azimuth_deg - dataset.entries[1].view.azimuth_deg) < 5
     assert 0 < placed.azimuth_std_deg == pytest.approx(found.azimuth_std_deg[7, 1])
     np.testing.assert_array_equal(read_dataset(tmp_path / "copy").power[-1], power)
-    monkeypatch.setattr(sys.modules["sarsplat.recognition.write_back"], "_MAX_REVERSED", -1.0)
+    monkeypatch.setattr(sys.modules["sarsplat.recognition.located"], "_MAX_REVERSED", -1.0)
     with pytest.raises(SarsplatError, match=r"no image of .*data gets an azimuth"):
         write_back(found, tmp_path / "data", tmp_path / "other")
 

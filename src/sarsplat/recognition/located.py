@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Bool, Float64, Int64
 
 from sarsplat.data.files import write_bytes
 from sarsplat.evaluation.azimuths import CLOSE_DEG, REVERSED_DEG, signed
@@ -19,6 +19,15 @@ from sarsplat.samples.encoding import encoded_table
 
 _SURE = 0.95
 """Odds whose reliability is a score."""
+
+_MAX_STD_DEG, _MAX_REVERSED = 10.0, 0.05
+"""Maximum standard deviation, degrees, and maximum odds of the reversed azimuth, of a certain one."""
+
+_FAR_STD = 4.0
+"""Standard deviations beyond which a certain azimuth contradicts a label; of other depressions they are too small."""
+
+_MAX_NAMED = 6
+"""Maximum number of images named."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,17 +79,32 @@ class Located:
     @property
     def azimuth_errors_deg(self) -> Float64[np.ndarray, " n"]:
         """Error of the azimuth given the labelled class, degrees in [−180, 180); NaN where a label is unknown."""
-        errors = self._of_label(self.azimuth_deg) - np.array([chip.azimuth_deg for chip in self.chips])
+        errors = self.of_class(self.azimuth_deg) - np.array([chip.azimuth_deg for chip in self.chips])
         return np.where(self.labels < 0, np.nan, signed(errors))
 
     @property
     def relative_azimuth_errors(self) -> Float64[np.ndarray, " k"]:
         """Errors of the known azimuths, in standard deviations."""
-        relative = self.azimuth_errors_deg / self._of_label(self.azimuth_std_deg)
+        relative = self.azimuth_errors_deg / self.of_class(self.azimuth_std_deg)
         return relative[np.isfinite(relative)]
 
-    def _of_label(self, values: Float64[np.ndarray, "n c"]) -> Float64[np.ndarray, " n"]:
-        return values[np.arange(len(self)), self.labels]
+    def of_class(self, values: Float64[np.ndarray, "n c"]) -> Float64[np.ndarray, " n"]:
+        """Values of each image given its labelled class, or the one found if its label is none of the classes."""
+        return values[np.arange(len(self)), np.where(self.labels < 0, self.found, self.labels)]
+
+    @property
+    def certain(self) -> Bool[np.ndarray, " n"]:
+        """Mask of images whose azimuth is neither wide nor perhaps reversed, and whose label, if any, is a class."""
+        of_a_class = (self.labels >= 0) | ~np.array([bool(chip.target) for chip in self.chips])
+        narrow = self.of_class(self.azimuth_std_deg) <= _MAX_STD_DEG
+        return of_a_class & narrow & (self.of_class(self.reversed_odds) <= _MAX_REVERSED)
+
+    @property
+    def contradicted(self) -> Int64[np.ndarray, " k"]:
+        """Indices of images with a certain azimuth that is far from the labelled one."""
+        errors = np.abs(self.azimuth_errors_deg)
+        far = errors > np.maximum(CLOSE_DEG, _FAR_STD * self.of_class(self.azimuth_std_deg))
+        return np.flatnonzero(far & self.certain)
 
     @property
     def confusion(self) -> Int64[np.ndarray, "c c"]:
@@ -106,8 +130,15 @@ class Located:
         return {name: float(value) for name, value in scores.items()}
 
     def scores_in_words(self) -> dict[str, str]:
-        """Return the scores as text by name."""
-        return {name: f"{value:.2f}" if ", °" in name else f"{value:.1%}" for name, value in self.scores().items()}
+        """Return the scores, and images whose labelled azimuth is contradicted, as text by name."""
+        words = {name: f"{value:.2f}" if ", °" in name else f"{value:.1%}" for name, value in self.scores().items()}
+        if len(far := self.contradicted):
+            errors = self.azimuth_errors_deg
+            names = ", ".join(self.chips[index].name for index in far[:_MAX_NAMED]) + ", …" * (len(far) > _MAX_NAMED)
+            words["labelled azimuths contradicted"] = (
+                f"{len(far)} of {np.isfinite(errors).sum()}, by {np.median(errors[far]):+.0f}° in the median: {names}"
+            )
+        return words
 
     def rows(self) -> list[dict[str, Any]]:
         """Return a row of the table for each image."""

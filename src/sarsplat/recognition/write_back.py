@@ -14,9 +14,6 @@ from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 from sarsplat.geometry.view import seen_alike
 from sarsplat.recognition.located import Located
 
-_MAX_STD_DEG, _MAX_REVERSED = 10.0, 0.05
-"""Maximum standard deviation of an azimuth that training can refine, degrees, and maximum odds of the reversed one."""
-
 
 def write_back(located: Located, dataset: str | Path, out: str | Path, *, overwrite: bool = False) -> Dataset:
     """Write a copy of a dataset that includes its images without azimuth, seen from where they were located.
@@ -50,15 +47,16 @@ def write_back(located: Located, dataset: str | Path, out: str | Path, *, overwr
             f"{dataset} is complex, but its images without azimuth are power; they cannot be added to it"
         )
     found = {chip.name: k for k, chip in enumerate(located.chips) if np.isnan(chip.azimuth_deg)}
+    azimuth_deg, std_deg = (located.of_class(one) for one in (located.azimuth_deg, located.azimuth_std_deg))
+    certain = located.certain
     entries, images, chips, left = [], [], [], []
     for one in unplaced_in(before.source, before):
         power, index = read_unplaced(before, Path(dataset), one["file"]), found.get(one["name"])
-        if index is None or not np.array_equal(power, located.chips[index].power) or _uncertain(located, index):
+        if index is None or not np.array_equal(power, located.chips[index].power) or not certain[index]:
             left.append((one, power))
             continue
-        azimuth, std, _ = _given_class(located, index)
-        view = seen_alike(before.views, azimuth, one["grazing_deg"])
-        entries.append(DatasetEntry(view, one["set"], one["name"], max(std, 0.01)))
+        view = seen_alike(before.views, float(azimuth_deg[index]), one["grazing_deg"])
+        entries.append(DatasetEntry(view, one["set"], one["name"], max(float(std_deg[index]), 0.01)))
         images.append(power)
         chips.append({name: one[name] for name in ("name", "serial", "depression_deg") if name in one})
     if not entries:
@@ -84,18 +82,3 @@ def write_back(located: Located, dataset: str | Path, out: str | Path, *, overwr
         path=None,
     )
     return write_dataset(out, after, pictures={one["file"]: power for one, power in left}, overwrite=overwrite)
-
-
-def _given_class(located: Located, index: int) -> tuple[float, float, float]:
-    """Return azimuth, its standard deviation, degrees, and odds of the reversed one, by the label or class found."""
-    label = located.labels[index] if located.labels[index] >= 0 else located.found[index]
-    values = (located.azimuth_deg, located.azimuth_std_deg, located.reversed_odds)
-    azimuth, std, reversed_odds = (float(one[index, label]) for one in values)
-    return azimuth, std, reversed_odds
-
-
-def _uncertain(located: Located, index: int) -> bool:
-    if located.chips[index].target and located.labels[index] < 0:  # none of the runs is of its class
-        return True
-    _, std, reversed_odds = _given_class(located, index)
-    return std > _MAX_STD_DEG or reversed_odds > _MAX_REVERSED
