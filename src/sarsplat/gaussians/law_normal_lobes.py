@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import torch
@@ -70,6 +70,12 @@ class NormalLobes(Scattering):
         squared = ((directions @ normals.T) ** 2).clamp(min=_GRAZING)  # [V, N]
         b = softplus(self.parameters[:, :2])
         return (self.p_min + b[:, 0] + b[:, 1] * squared ** (self._exponents / 2))[..., None]
+
+    def times(self, factor: float) -> Self:
+        """See `Scattering.times`; exact."""
+        b = (factor * softplus(self.parameters[:, :2].double())).clamp(min=torch.finfo(torch.float64).tiny)
+        inverse = (b + torch.log(-torch.expm1(-b))).to(self.parameters)
+        return replace(self, parameters=torch.cat([inverse, self.parameters[:, 2:]], dim=1), p_min=factor * self.p_min)
 
     @property
     def _exponents(self) -> Float[Tensor, " n"]:

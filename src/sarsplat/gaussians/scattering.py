@@ -123,6 +123,10 @@ class Scattering(ABC):
         """Law limited to the detail `degree`, 0 to 3, which a training increases; by default unlimited."""
         return self
 
+    def times(self, factor: float) -> Self:
+        """Law with `factor` times the γ⁰; itself, the default, if that is no law of its kind."""
+        return self
+
     def for_polarisations(self, polarisations: tuple[str, ...]) -> Self:
         """Initial law for images in two or more polarisations; by default unchanged."""
         return self

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from jaxtyping import Complex64, Complex128, Float32, Float64, UInt8
 
-from sarsplat.data import Dataset, DatasetEntry, write_gaussians_ply
+from sarsplat.data import Dataset, DatasetEntry
 from sarsplat.data.header import Box
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 from sarsplat.extras import Trimesh
@@ -268,9 +268,6 @@ class GaussianReconstruction(Reconstruction):
     def _seen(self) -> Seen:
         seen = Seen.of(self.gaussians, self.snapshot.views, self.grid)
         return replace(seen, cross_section=seen.cross_section * self.model.unit)
-
-    def write(self, folder: Path) -> None:
-        write_gaussians_ply(folder / "gaussians.ply", self.gaussians)
 
     @property
     def learned(self) -> str:

@@ -9,12 +9,14 @@ import numpy as np
 from sarsplat.data import Dataset
 from sarsplat.gaussians.initialise import Region
 from sarsplat.geometry import ImageGrid, Stack, Terrain, View
+from sarsplat.radiometry import LEAST_POWER
 from sarsplat.regions.outlines import usual_gamma0
 from sarsplat.regions.stack_region import stack_region
 from sarsplat.regions.target_region import levelled, target_region
 from sarsplat.settings.config import Config
 
 _USUAL_GAMMA0 = 0.5  # median γ⁰ of the pixels that stand out from the ground, in the unit "target"
+_CALIBRATED = 0.7  # usual unit "target" of vehicles and buildings in calibrated images: 0.4 to 1.2
 _MIN_ACROSS = 20  # minimum number of resolution cells across the target in multilooked images
 _COARSE_SHARE = 0.75  # share of the iterations that the coarser levels take together; the rest is at full resolution
 
@@ -44,10 +46,12 @@ class SceneFrame:
             region = stack_region(train, config.box_m)
         else:
             region = target_region(dataset, ground=bool(config.ground or config.surroundings), box=config.box_m)
-        if config.unit == "target":
-            unit = usual_gamma0(levelled(train)) / _USUAL_GAMMA0
+        if config.unit == "image" and (config.surroundings or stacks):
+            unit = float(train.power.mean(dtype=np.float64))
         else:
-            unit = float(train.power.mean(dtype=np.float64)) if config.surroundings or stacks else 1.0
+            unit = usual_gamma0(levelled(train)) / _USUAL_GAMMA0
+            if config.unit == "image":  # 1 for calibrated images
+                unit = 10.0 ** round(math.log10(max(unit, LEAST_POWER) / _CALIBRATED))
         return cls(region, unit, train.views, train.grid, terrain, stacks)
 
     @property

@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -67,8 +68,14 @@ class Result(ABC):
 
     @property
     def gaussians(self) -> Gaussians | None:
-        """Gaussians of the target; None for methods without."""
-        return self.reconstruction.gaussians
+        """Gaussians of the target; None for methods without.
+
+        Normal lobes have the γ⁰ of the images; other laws have γ⁰ divided by `snapshot.unit`.
+        """
+        learned, unit = self.reconstruction.gaussians, self.snapshot.unit
+        if learned is None or unit == 1:
+            return learned
+        return replace(learned, scattering=learned.scattering.times(unit))
 
     @property
     def model(self) -> SceneModel | None:

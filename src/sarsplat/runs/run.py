@@ -9,7 +9,16 @@ from typing import Any
 import msgspec
 
 from sarsplat.arguments import checks_arguments
-from sarsplat.data import Dataset, new_folder, read_dataset, read_json, write_bytes, write_json, write_points_ply
+from sarsplat.data import (
+    Dataset,
+    new_folder,
+    read_dataset,
+    read_json,
+    write_bytes,
+    write_gaussians_ply,
+    write_json,
+    write_points_ply,
+)
 from sarsplat.data.dataset_folder import HEADER as DATASET_HEADER
 from sarsplat.data.folders import only_writer
 from sarsplat.data.header import place_header
@@ -311,5 +320,7 @@ class Run(Result):
         """Write `points.ply`, `about.json` and files of its method, for other programs."""
         learned = self.reconstruction
         learned.write(self.folder)
+        if self.gaussians is not None:
+            write_gaussians_ply(self.folder / "gaussians.ply", self.gaussians)
         write_json(self.folder / ABOUT, self.about)
         write_points_ply(self.folder / POINTS, self.points, normals=self.normals)

@@ -114,8 +114,9 @@ class Config(AnyConfig):
     p_min : float
         Minimum γ⁰ of a Gaussian.
     unit : str
-        Unit of every γ⁰ in the settings, and of the noise floor: "image": 1, or with `surroundings` the mean of the
-        training images; "target": twice the median γ⁰ of the pixels above the ground.
+        Unit of every γ⁰ in the settings, and of the noise floor: "target": twice the median γ⁰ of the pixels above the
+        ground; "image": the power of ten nearest to it, 1 for calibrated images, or with `surroundings` the mean of the
+        training images.
     scattering_penalty : float
         Weight of differences between the Gaussians' scattering, in units of the loss of black images, or, with a
         likelihood, in nats per pixel. It favours opaque surfaces over thin layers that scatter strongly.
