@@ -107,9 +107,12 @@ def test_a_reflector_found_in_the_images(tmp_path: Path, squint_deg: float) -> N
 
 @pytest.mark.slow
 def test_a_reflector_that_was_reconstructed(tmp_path: Path) -> None:
-    """The mean of the points of the file, by the square of their brightness, which ghosts have little of."""
+    """The mean of the points of three trainings, by the square of their brightness, which ghosts have little of."""
     around = [Track(20.0 + 60 * k, (35.0, 45.0, 40.0)[k % 3], "RL"[k % 2]) for k in range(6)]
     dataset, truth = imported(tmp_path, tracks=around)
-    found, gamma0 = las_of(reconstruct(dataset, preset("quick"), quiet=True), tmp_path / "a.las")
-    east, north, _ = np.average((found - truth.mean(axis=0)) @ axes().T, axis=0, weights=gamma0.astype(float) ** 2)
-    assert np.hypot(east, north) < 0.2
+    off = []
+    for seed in range(3):  # each scatters by a third of a cell
+        run = reconstruct(dataset, replace(preset("quick"), seed=seed), quiet=True)
+        found, gamma0 = las_of(run, tmp_path / f"{seed}.las")
+        off.append(np.average((found - truth.mean(axis=0)) @ axes().T, axis=0, weights=gamma0.astype(float) ** 2))
+    assert np.hypot(*np.mean(off, axis=0)[:2]) < 0.2
