@@ -13,12 +13,13 @@ from scipy.ndimage import gaussian_filter
 
 from made import dataset_of
 from sarsplat import PRESETS, Dataset, ImageGrid, Run, SarsplatError, View, reconstruct, simulate_images
-from sarsplat.learning import evidence
+from sarsplat.learning import evidence, scene_frame
 from sarsplat.learning.device_choice import quicker_device
 from sarsplat.learning.evidence import chosen, differences
 from sarsplat.learning.method_sar_gs import METHOD
 from sarsplat.renderer.engines import cpu
 from sarsplat.runs import reconstruction
+from sarsplat.settings.sections import FlatGround
 
 GPU = torch.device("cuda", 0)
 
@@ -146,6 +147,15 @@ def test_images_of_one_scale_and_place_need_no_nuisances(scene: Dataset) -> None
     assert replace(config, evidence="") == PRESETS["scene"]
     assert "0 of 16 images displaced; too little, so neither gains nor shifts are learned" in config.evidence
     assert METHOD.preset("auto", scene) == config
+
+
+def test_ground_under_large_objects_starts_as_shown_only_if_views_are_from_all_around(
+    scene: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(scene_frame, "_MIN_ACROSS", 3)  # so that the box is large
+    around, sector = chosen(scene), chosen(replace(scene, entries=scene.entries[:6], power=scene.power[:6]))
+    assert around.ground == FlatGround(from_images=True)
+    assert sector.ground == FlatGround()
 
 
 def test_chips_with_gains_of_their_own_are_measured_ones(scene: Dataset) -> None:
