@@ -19,7 +19,6 @@ from sarsplat.learning.evidence import chosen, differences
 from sarsplat.learning.method_sar_gs import METHOD
 from sarsplat.renderer.engines import cpu
 from sarsplat.runs import reconstruction
-from sarsplat.settings.sections import FlatGround
 
 GPU = torch.device("cuda", 0)
 
@@ -149,13 +148,11 @@ def test_images_of_one_scale_and_place_need_no_nuisances(scene: Dataset) -> None
     assert METHOD.preset("auto", scene) == config
 
 
-def test_ground_under_large_objects_starts_as_shown_only_if_views_are_from_all_around(
-    scene: Dataset, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ground_of_large_scenes_starts_uniform_from_one_side(scene: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scene_frame, "_MIN_ACROSS", 3)  # so that the box is large
-    around, sector = chosen(scene), chosen(replace(scene, entries=scene.entries[:6], power=scene.power[:6]))
-    assert around.ground == FlatGround(from_images=True)
-    assert sector.ground == FlatGround()
+    for images, around in ((16, True), (6, False)):
+        part = replace(scene, entries=scene.entries[:images], power=scene.power[:images])
+        assert cast(Any, chosen(part).ground).from_images is around
 
 
 def test_chips_with_gains_of_their_own_are_measured_ones(scene: Dataset) -> None:
