@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter
 
 from made import dataset_of
 from sarsplat import PRESETS, Dataset, ImageGrid, Run, SarsplatError, View, reconstruct, render, simulate_images
-from sarsplat.learning import evidence
+from sarsplat.learning import evidence, scene_frame
 from sarsplat.learning.device_choice import quicker_device
 from sarsplat.learning.evidence import chosen, differences
 from sarsplat.learning.method_sar_gs import METHOD
@@ -146,6 +146,13 @@ def test_images_of_one_scale_and_place_need_no_nuisances(scene: Dataset) -> None
     assert replace(config, evidence="") == PRESETS["scene"]
     assert "0 of 16 images displaced; too little, so neither gains nor shifts are learned" in config.evidence
     assert METHOD.preset("auto", scene) == config
+
+
+def test_ground_of_large_scenes_starts_uniform_from_one_side(scene: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scene_frame, "_MIN_ACROSS", 3)  # so that the box is large
+    for images, around in ((16, True), (6, False)):
+        part = replace(scene, entries=scene.entries[:images], power=scene.power[:images])
+        assert cast(Any, chosen(part).ground).from_images is around
 
 
 def test_chips_with_gains_of_their_own_are_measured_ones(scene: Dataset) -> None:

@@ -20,12 +20,13 @@ from sarsplat.learning.scene_frame import Levels
 from sarsplat.learning.trainer import Trainer
 from sarsplat.radiometry import to_db
 from sarsplat.settings import PRESETS, Config
-from sarsplat.settings.sections import Surroundings
+from sarsplat.settings.sections import FlatGround, Surroundings
 
 _SHARE = 0.1  # length of the trial, relative to the training
 _PIXELS = 256  # side of the images of the trial at most: larger ones are multilooked
 _SMOOTHED_DROPOUT = 0.4  # dropout where there are coarser levels, at which smoothed surfaces average speckle already
 _SMOOTHED_PENALTY = 0.3  # penalty there for scattering that differs, for the same reason
+_ONE_SIDED = 0.5  # length of the views' mean horizontal direction, 0 to 1, from which on layover looks like ground
 _FEWEST = 4  # minimum number of images, and of gains: fewer do not separate gains from the ground's power law in sin θ
 _GROUND_DB = 1.5  # maximum distance of ground pixels from the rendering's median, dB
 _TARGET_DB = 6.0  # minimum level of target pixels above that median, dB
@@ -63,11 +64,11 @@ def chosen(dataset: Dataset) -> Config:
     found = differences(train, trainer)
     multilevel = Levels.of(scene, replace(trainer.model.frame, grid=dataset.grid)).coarsest > 1
     if multilevel:
-        scene = replace(scene, dropout=_SMOOTHED_DROPOUT, scattering_penalty=_SMOOTHED_PENALTY)
-    summary = (
-        f"gains of images differ by {found.gain_std_db:.2g} dB, {found.displaced} of {counted(found.images, 'image')} "
-        "displaced"
-    )
+        mean_direction = np.exp(1j * np.radians([view.azimuth_deg for view in train.views])).mean()
+        ground = FlatGround(from_images=bool(abs(mean_direction) < _ONE_SIDED))
+        scene = replace(scene, dropout=_SMOOTHED_DROPOUT, scattering_penalty=_SMOOTHED_PENALTY, ground=ground)
+    images = counted(found.images, "image")
+    summary = f"gains of images differ by {found.gain_std_db:.2g} dB, {found.displaced} of {images} displaced"
     if found.nats >= 0:
         return replace(scene, evidence=f"scene: {summary}; too little, so neither gains nor shifts are learned")
     summary = f"{summary} ({found.nats:.4f} nats per pixel)"
@@ -75,9 +76,8 @@ def chosen(dataset: Dataset) -> Config:
         return replace(PRESETS["measured"], evidence=f"measured: {summary}")
     assert scene.surroundings is not None
     nuisances = Surroundings(noise_floor=scene.surroundings.noise_floor)
-    return replace(
-        scene, surroundings=nuisances, scattering_penalty=0.0, evidence=f"scene with nuisances of each image: {summary}"
-    )
+    summary = f"scene with nuisances of each image: {summary}"
+    return replace(scene, surroundings=nuisances, scattering_penalty=0.0, evidence=summary)
 
 
 def _trial(dataset: Dataset, scene: Config) -> Trainer:
