@@ -133,13 +133,13 @@ def common_part(
     Raises if it is empty, or if without a few images it would be at least twice as large.
     """
     ends = np.array([_ends(image.grid) for image in images])
-    common = _common(ends)
+    common = ends.min(axis=0)
     indices = np.arange(len(images))
     most = max(1, int(_FEW * len(images))) if len(images) >= _FEWEST_IMAGES else 0
     for _ in range(most):
         rest = [indices[indices != out] for out in _at_its_ends(ends, indices)]
-        indices = max(rest, key=lambda subset: _area(_common(ends[subset])))
-        if (1 - _LOSS) * (larger := _area(_common(ends[indices]))) >= max(_area(common), 1e-30):
+        indices = max(rest, key=lambda subset: _area(ends[subset].min(axis=0)))
+        if (1 - _LOSS) * (larger := _area(ends[indices].min(axis=0))) >= max(_area(common), 1e-30):
             without = np.delete(np.arange(len(images)), indices)
             names = ", ".join(f"{images[k].name} ({_size(images[k].grid)})" for k in without[:3])
             raise SarsplatError(
@@ -171,11 +171,6 @@ def _ends(grid: ImageGrid) -> tuple[float, float, float, float]:
     """Return how far an image reaches, m, towards negative and positive (azimuth, range) of each."""
     azimuth, slant_range = grid.azimuth_m, grid.range_m
     return -azimuth[0], -slant_range[0], azimuth[-1], slant_range[-1]
-
-
-def _common(ends: Float64[np.ndarray, "n 4"]) -> Float64[np.ndarray, " 4"]:
-    """Return the ends of the part that all images show."""
-    return ends.min(axis=0)
 
 
 def _at_its_ends(ends: Float64[np.ndarray, "n 4"], indices: Int64[np.ndarray, " k"]) -> list[int]:

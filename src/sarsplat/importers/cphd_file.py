@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Int64
 
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, counted, shown
+from sarsplat.geometry import Place
 from sarsplat.importers.files import raise_damaged, require, whole_in
 from sarsplat.importers.sarkit_xml import LONGEST_XML, Metadata, any_version, plain_xml, printable, sarkit_errors
 
@@ -69,12 +70,15 @@ class Cphd(Metadata):
             return XmlHelper(self.tree).load(any_version(name))
 
     @property
-    def reference_ecef(self) -> Float64[np.ndarray, " 3"]:
-        """Reference point of the scene, ECEF, m."""
+    def place(self) -> Place:
+        """Reference point of the scene."""
         place = self.load("SceneCoordinates/IARP/ECF")
         if place is None or not np.all(np.abs(place) <= _LARGEST):
             raise_damaged(self.path, "has no valid reference point (SceneCoordinates/IARP)")
-        return np.asarray(place, np.float64)
+        try:
+            return Place.of_ecef(np.asarray(place, np.float64))
+        except SarsplatError as error:
+            raise SarsplatError(f"{self.path}: the reference point of the scene: {error}") from error
 
     def channel(self, name: str | None) -> Channel:
         """Return the channel of this name, or the only one."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn, cast
@@ -132,7 +132,9 @@ def read_picture_table(folder: Path, about: AboutPictures, *, compass: bool = Fa
         )
     require(table, columns, about.get("grazing_deg") is None, spacing, about.get("look") is not None)
     require_azimuths(table, columns, compass or about.get("azimuth_offset_deg") is not None)
-    heading = _heading(table, columns, named)
+    heading = columns.get("heading")
+    if heading is None and not {"azimuth", "az"} & set(named):  # a heading beside azimuths is checked against them
+        heading = recognised(table, "heading", columns, needed=False)
     table = converted(table, columns if heading is None else {**columns, "heading": heading})
     column = columns["file"]
     row_of: dict[Path, Row] = {}
@@ -222,13 +224,6 @@ def _table_of_names(folder: Path, files: list[Path], tables: list[Path], pattern
             f"{folder} has no picture with a name like {shown(pattern)}; give a pattern that they match"
         )
     return CsvTable(Path(pattern), ("file", *columns), tuple(rows))
-
-
-def _heading(table: CsvTable, columns: Columns, named: Mapping[str, str]) -> str | None:
-    """Return the column of headings, also beside azimuths, unless only the column of azimuths was named."""
-    if "heading" in columns or {"azimuth", "az"} & set(named):
-        return columns.get("heading")
-    return recognised(table, "heading", columns, needed=False)
 
 
 def _listed(table: CsvTable, row: Row, columns: Columns, heading: str | None, path: Path) -> ListedPicture:
