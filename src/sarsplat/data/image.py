@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -16,7 +14,7 @@ from sarsplat.arguments import checks_arguments, expect
 from sarsplat.colours import POWER, colormap
 from sarsplat.data.files import write_bytes
 from sarsplat.errors import SarsplatError
-from sarsplat.extras import install_command
+from sarsplat.extras import needed
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.radiometry import DYNAMIC_RANGE_DB, amplitude, to_db, white_level
 
@@ -137,7 +135,7 @@ class SarImage:
         SarsplatError
             If matplotlib is not installed.
         """
-        with _matplotlib_needed():
+        with needed("report", "a picture"):
             from matplotlib import pyplot
         _draw(self.power, self.view, self.grid, pyplot.figure(), dynamic_range_db)
         pyplot.show()
@@ -209,7 +207,7 @@ def check_signal(
 
 def picture_png(power: Power, view: View, grid: ImageGrid, dynamic_range_db: float) -> bytes:
     """Draw β⁰ of one image as a PNG file; parameters and errors as for `SarImage` and its `save`."""
-    with _matplotlib_needed():
+    with needed("report", "a picture"):
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     figure, buffer = Figure(), io.BytesIO()
@@ -217,14 +215,6 @@ def picture_png(power: Power, view: View, grid: ImageGrid, dynamic_range_db: flo
     _draw(power, view, grid, figure, dynamic_range_db)
     figure.savefig(buffer, format="png", dpi=_DPI)
     return buffer.getvalue()
-
-
-@contextmanager
-def _matplotlib_needed() -> Iterator[None]:
-    try:
-        yield
-    except ImportError as error:
-        raise SarsplatError(f"pictures need matplotlib; {install_command('report')}") from error
 
 
 def _draw(power: Power, view: View, grid: ImageGrid, figure: Figure, dynamic_range_db: float) -> None:

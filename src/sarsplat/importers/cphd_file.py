@@ -14,8 +14,9 @@ from jaxtyping import Int64
 
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, counted, shown
+from sarsplat.extras import needed
 from sarsplat.geometry import Place
-from sarsplat.importers.files import raise_damaged, require, whole_in
+from sarsplat.importers.files import raise_damaged, whole_in
 from sarsplat.importers.sarkit_xml import LONGEST_XML, Metadata, any_version, plain_xml, printable, sarkit_errors
 
 if TYPE_CHECKING:
@@ -126,12 +127,11 @@ def open_cphd(path: Path) -> Cphd:
 
     Raises if it is no monostatic CPHD of a supported version, truncated, garbled, or compressed.
     """
-    require("sarkit", "CPHD files need", "phase-history")
+    with needed("phase-history", "a CPHD"):
+        from sarkit.cphd import VERSION_INFO
     with open_file(path) as file:
         tree, blocks = _tree(path, file)
     name = str(tree.getroot().tag)
-    from sarkit.cphd import VERSION_INFO
-
     namespace, _, kind = name.removeprefix("{").partition("}")
     if kind != "CPHD":
         raise_damaged(path, f"holds {shown(name)}, not the metadata of a CPHD")

@@ -20,10 +20,11 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.folders import refuse_existing
 from sarsplat.errors import SarsplatError, counted
+from sarsplat.extras import needed
 from sarsplat.geometry import ImageGrid, Place
 from sarsplat.geometry.responses import TAYLOR, UNIFORM, Taylor
 from sarsplat.importers.about import AboutScene
-from sarsplat.importers.files import each_once, require
+from sarsplat.importers.files import each_once
 from sarsplat.importers.histories import read_phase_history
 from sarsplat.importers.images import assume, check_sides, check_train_views, dataset_of, place_of, write_imported
 from sarsplat.importers.measured_image import MeasuredImage
@@ -251,8 +252,8 @@ def focus(
     4π f/c times slant range, is taken out: the spectrum is centred at zero. `advance` counts pulses. Raises if the grid
     exceeds the unambiguous extent of frequencies or pulses, or finufft is not installed.
     """
-    require("finufft", "phase history needs", "phase-history")
-    import finufft
+    with needed("phase-history", "phase history"):
+        import finufft
 
     from sarsplat.importers.phase_combining import Combined  # here: whoever asks for a file's facts need not load SciPy
 

@@ -18,7 +18,7 @@ from jaxtyping import Complex64, Float64
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry.place import ecef_of_geodetic
-from sarsplat.importers.files import complex_of, hdf5_array, number_in, opened_hdf5, raise_damaged, require
+from sarsplat.importers.files import complex_of, hdf5_array, number_in, opened_hdf5, raise_damaged
 from sarsplat.importers.pictures import power_or_signal
 
 if TYPE_CHECKING:
@@ -146,7 +146,6 @@ def read_rslc(path: Path, images: str | None = None) -> Rslc:
 
     Raises if it is no RSLC, damaged, or a field is missing or impossible.
     """
-    require("h5py", "RSLC files need", "rslc")
     if not is_hdf5(path):
         _refuse(path, "is not an HDF5 file")
     with opened_hdf5(path) as file:
