@@ -60,7 +60,8 @@ class Sampler:
         with torch.no_grad():
             self._scene, self._ground, self._echoes = model.scene(degree), model.ground(), model.echoes()
         self._parts = _divided(grid, self._scene) if speckle == "response" else 1
-        self._grid = _finer(grid, self._parts)
+        x, r = (spacing / self._parts for spacing in grid.spacing_m)
+        self._grid = replace(grid, rows=self._parts * grid.rows, columns=self._parts * grid.columns, spacing_m=(x, r))
         self._margins, wider = _widened(self._grid)
         self._response = ResponseSpeckle(wider)
         self._shape = scatterers / self._response.pixels
@@ -165,12 +166,6 @@ def _divided(grid: ImageGrid, scene: Gaussians) -> int:
     smallest = scene.scales.amin(1).double().quantile(_SMALL_QUANTILE).item()
     needed = math.ceil(max(grid.spacing_m) / (_PIXEL_STD * smallest))
     return min(needed + 1 - needed % 2, _MAX_PARTS)
-
-
-def _finer(grid: ImageGrid, parts: int) -> ImageGrid:
-    """Grid with each pixel divided into `parts` × `parts`, the middle one of which has the pixel's centre."""
-    azimuth, slant_range = (spacing / parts for spacing in grid.spacing_m)
-    return replace(grid, rows=parts * grid.rows, columns=parts * grid.columns, spacing_m=(azimuth, slant_range))
 
 
 def _widened(grid: ImageGrid) -> tuple[list[tuple[int, int]], ImageGrid]:

@@ -96,7 +96,9 @@ def do(cell: Cell, out: Path, again: bool = False) -> Row | None:
             except Exception as error:  # a bug here or in a plugin, or no memory: other runs go on
                 traceback.print_exc()
                 row.state, row.reason, row.passing = "failed", f"{type(error).__name__}: {error}", True
-        row.reason = _without_folder(row.reason, out / RUNS / cell.address)
+        run = out / RUNS / cell.address
+        for folder in (temporary_folder(run), run):  # its name is a hash, which means nothing to users
+            row.reason = row.reason.replace(f"{folder}/", "").replace(str(folder), "the run")
         row.took_s = round(time.monotonic() - begun, 3)
         write_json(row_path(cell, out), row)
         return row
@@ -172,13 +174,6 @@ def _keep(message: Warning | str, category: type[Warning], *place: object) -> No
         own = _lists.get(threading.get_ident())
         for messages in [*_lists.values()] if own is None else [own]:
             messages.append(str(message))
-
-
-def _without_folder(reason: str, run: Path) -> str:
-    """Remove the run's folder, a hash that means nothing to users, from a reason."""
-    for folder in (temporary_folder(run), run):
-        reason = reason.replace(f"{folder}/", "").replace(str(folder), "the run")
-    return reason
 
 
 def scores_in(metrics: Mapping[str, Any]) -> dict[str, float]:
