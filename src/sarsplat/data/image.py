@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from jaxtyping import Complex, Complex64, Float, Float32, Real, Shaped
 
-from sarsplat.arguments import checks_arguments, expect
+from sarsplat.arguments import checks_arguments, expect_fields
 from sarsplat.colours import POWER, colormap
 from sarsplat.data.files import write_bytes
 from sarsplat.errors import SarsplatError
@@ -61,9 +61,7 @@ class SarImage:
     def __post_init__(self) -> None:
         if hasattr(self.power, "detach"):  # a torch.Tensor: files of images are read without torch
             object.__setattr__(self, "power", self.power.detach().cpu().numpy())
-        expect(np.ndarray, power=self.power)
-        expect(View, view=self.view)
-        expect(ImageGrid, grid=self.grid)
+        expect_fields(self)
         expected = (self.grid.rows, self.grid.columns)
         if self.power.shape != expected or self.power.dtype.kind not in "fiu":
             raise SarsplatError(

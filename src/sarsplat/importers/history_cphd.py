@@ -102,18 +102,12 @@ class _Signal(Recorded):
         with np.errstate(over="ignore", invalid="ignore"):  # what becomes infinite is refused
             if self.conjugate:
                 np.conj(samples, out=samples)
-            if self.start_s is not None:
-                samples = self._spectrum(samples)
+            if self.start_s is not None:  # samples in time: to frequency, the centre of the band in the middle
+                places = (np.arange(samples.shape[1]) - samples.shape[1] // 2) / samples.shape[1]
+                turned = np.exp(-2j * math.pi * self.start_s[:, None] * places)
+                samples = np.fft.fftshift(np.fft.fft(samples, axis=1), axes=1) * turned
             samples = samples[:, self.first : self.first + self.count] * self.scale[:, None]
             return np.ascontiguousarray(samples.T.astype(np.complex64))
-
-    def _spectrum(self, samples: Complex64[np.ndarray, "pulses times"]) -> np.ndarray:
-        """Transform samples in time to frequency, the centre of the band in the middle."""
-        assert self.start_s is not None
-        count = samples.shape[1]
-        places = (np.arange(count) - count // 2) / count
-        turned = np.exp(-2j * math.pi * self.start_s[:, None] * places)
-        return np.fft.fftshift(np.fft.fft(samples, axis=1), axes=1) * turned
 
 
 def _of_frequencies(cphd: Cphd, channel: Channel, pulses: dict[str, Any]) -> tuple[np.ndarray, np.ndarray, _Signal]:

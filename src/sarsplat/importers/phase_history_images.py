@@ -146,7 +146,12 @@ def import_phase_history(
     images = []
     with progress("focusing pulses", sum(len(aperture.history) for aperture in parts), quiet) as reporter:
         for index, aperture in enumerate(parts):
-            images.append(_image(index, aperture, size_m, spacing, taper, reporter.advance))
+            finest = aperture.resolution_m(taper)
+            pixels = size_m / spacing if size_m > 0 and spacing > 0 else 0.0  # also of NaN
+            check_sides(size_m, pixels, pixels, f"{spacing:.3g} m")
+            grid = ImageGrid(round(pixels), round(pixels), (spacing, spacing), finest)
+            signal = focus(aperture, grid, taper, reporter.advance)
+            images.append(MeasuredImage(f"{index:03d}", signal, aperture.view, grid.spacing_m, finest, response=taper))
     source = _source(files, parts, around_m, taper)
     dataset = dataset_of(images, target=target, source=source, train_views=train_views, **about)
     return write_imported(out, replace(dataset, place=origin), overwrite=overwrite)
@@ -167,22 +172,6 @@ def _in_one_world(
         first = place_of(place, first.height_m)
     origin = Place.of_ecef(first.to_ecef(around_m))
     return [history.seen_from(origin) for history in histories], origin
-
-
-def _image(
-    index: int,
-    aperture: Aperture,
-    size_m: float,
-    spacing_m: float,
-    weighting: Taylor,
-    advance: Callable[[int], object],
-) -> MeasuredImage:
-    resolution = aperture.resolution_m(weighting)
-    pixels = size_m / spacing_m if size_m > 0 and spacing_m > 0 else 0.0  # also of NaN
-    check_sides(size_m, pixels, pixels, f"{spacing_m:.3g} m")
-    grid = ImageGrid(round(pixels), round(pixels), (spacing_m, spacing_m), resolution)
-    signal = focus(aperture, grid, weighting, advance)
-    return MeasuredImage(f"{index:03d}", signal, aperture.view, grid.spacing_m, resolution, response=weighting)
 
 
 def _source(

@@ -129,7 +129,9 @@ def import_sicd(
     columns, rows = (round(size_m / step) for step in spacing)
     check_sides(size_m, rows, columns, f"{spacing[0]:.3g} m × {spacing[1]:.3g} m")
     absolute = all(sicd.calibration for sicd in sicds)
-    names = _names(paths)
+    stems = [path.stem for path in paths]
+    same = Counter(stems)
+    names = [stem if same[stem] == 1 else f"{stem}-{number}" for number, stem in enumerate(stems, 1)]
     images = (
         [stack_image(names[0], sicds, spot, layouts[0], (rows, columns), spacing, absolute)]
         if stack
@@ -175,13 +177,6 @@ def _spot(
         return spot_of_pixel(first, pixel, heading_deg)
     centre = spot_of_centre(first, heading_deg)
     return centre if around is None else place_of(around, centre.height_m, heading_deg)
-
-
-def _names(paths: Sequence[Path]) -> list[str]:
-    """Return the files' names without ending, numbered where they are equal."""
-    stems = [path.stem for path in paths]
-    same = Counter(stems)
-    return [stem if same[stem] == 1 else f"{stem}-{number}" for number, stem in enumerate(stems, 1)]
 
 
 def _facts(sicd: Sicd, layout: Layout) -> dict[str, Any]:

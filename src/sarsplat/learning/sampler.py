@@ -11,7 +11,6 @@ from scipy.fft import next_fast_len
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.learning.model import SceneModel
 from sarsplat.learning.parts.part import Shot
@@ -59,7 +58,11 @@ class Sampler:
         self._backdrop: Tensor | None = None
         with torch.no_grad():
             self._scene, self._ground, self._echoes = model.scene(degree), model.ground(), model.echoes()
-        self._parts = _divided(grid, self._scene) if speckle == "response" else 1
+        self._parts = 1
+        if speckle == "response":  # pixels smaller than the Gaussians, an odd number in each
+            smallest = self._scene.scales.amin(1).double().quantile(_SMALL_QUANTILE).item()
+            parts = math.ceil(max(grid.spacing_m) / (_PIXEL_STD * smallest))
+            self._parts = min(parts + 1 - parts % 2, _MAX_PARTS)
         x, r = (spacing / self._parts for spacing in grid.spacing_m)
         self._grid = replace(grid, rows=self._parts * grid.rows, columns=self._parts * grid.columns, spacing_m=(x, r))
         self._margins, wider = _widened(self._grid)
@@ -159,13 +162,6 @@ class Sampler:
         share = target / images[:, channel].clamp(min=torch.finfo(images.dtype).tiny)
         plain, textured = (self._model.developed(images, shot, estimated) for estimated in (False, True))
         return plain + share[:, None] * (textured - plain)
-
-
-def _divided(grid: ImageGrid, scene: Gaussians) -> int:
-    """Oversampling factor of the pixels, so that they are smaller than the Gaussians; odd."""
-    smallest = scene.scales.amin(1).double().quantile(_SMALL_QUANTILE).item()
-    needed = math.ceil(max(grid.spacing_m) / (_PIXEL_STD * smallest))
-    return min(needed + 1 - needed % 2, _MAX_PARTS)
 
 
 def _widened(grid: ImageGrid) -> tuple[list[tuple[int, int]], ImageGrid]:

@@ -96,20 +96,16 @@ class Trainer:
             strategy.check(model.parameters)
         self._states = [strategy.initial_state(model.parameters) for strategy in self.strategies]
 
-    def _look(self) -> None:
-        """Switch to the images of the next step's level."""
-        factor = self.model.levels.factor(self.iteration)
-        if factor != self._factor:
-            self.images, self._factor = self._finest.multilooked(factor, self.views), factor
-            self.model.look_at(self.images.grid.cell_m)
-            self.optimiser.relearn(self.model.learned)
-
     def step(self) -> Float32[Tensor, ""]:
         """Make one step of Adam on a few views; return the loss, on the device, without waiting for a GPU.
 
         `check` raises errors of a GPU.
         """
-        self._look()
+        factor = self.model.levels.factor(self.iteration)
+        if factor != self._factor:
+            self.images, self._factor = self._finest.multilooked(factor, self.views), factor
+            self.model.look_at(self.images.grid.cell_m)
+            self.optimiser.relearn(self.model.learned)
         chosen, step = self._queue.next(), self.iteration + 1
         loss, rendering = self._recorded_step(chosen, step) or self._eager_step(chosen, step)
         self.iteration += 1

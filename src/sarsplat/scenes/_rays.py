@@ -222,7 +222,11 @@ def sparse_hits(
         squares = np.stack([u[:-1, :-1], v[:-1, :-1]], axis=-1) + first
         flat = uniform & (patch >= 0)
         if flat.any():
-            yield _flat(facets, patches, patch[flat], squares[flat], parts, position, side)
+            patch = patch[flat]
+            centers, owner = _centers(squares[flat], parts[patch])
+            at, face = position(centers), patches.largest_face[patch][owner]
+            slant_range = facets.z0[face] + (facets.slope[face] * at).sum(axis=1)
+            yield Hits(at, slant_range, face.astype(np.int32), (side**2 / parts.prod(axis=1))[patch][owner])
         mixed = squares[~uniform]
         for begin in range(0, len(mixed), _SQUARES_PER_BATCH):
             at = position(_centers(mixed[begin : begin + _SQUARES_PER_BATCH], np.full(2, _RAYS_PER_SIDE))[0])
@@ -242,23 +246,6 @@ def _parts(
     along_range = np.maximum(np.abs(slope @ axes.T), least_slope * np.abs(axes[:, 1])) / resolution[1]
     steps = side * np.maximum(along_range, np.abs(axes[:, 0]) / resolution[0])
     return np.clip(np.ceil(steps / _FLAT_STEP), 1, _RAYS_PER_SIDE).astype(np.int64)
-
-
-def _flat(
-    facets: Facets,
-    patches: Patches,
-    patch: Int64[np.ndarray, " k"],
-    squares: Int64[np.ndarray, "k 2"],
-    parts: Int64[np.ndarray, "patches 2"],
-    position: Callable[[Float64[np.ndarray, "n 2"]], Float64[np.ndarray, "n 2"]],
-    side: float,
-) -> Hits:
-    """Convert squares within patches to hits of their parts."""
-    centers, square = _centers(squares, parts[patch])
-    at = position(centers)
-    face = patches.largest_face[patch][square]
-    slant_range = facets.z0[face] + (facets.slope[face] * at).sum(axis=1)
-    return Hits(at, slant_range, face.astype(np.int32), (side**2 / parts.prod(axis=1))[patch][square])
 
 
 def _centers(
