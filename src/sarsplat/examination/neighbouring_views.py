@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64, Real
@@ -111,26 +111,6 @@ def match(
         correlations.append(irfft2(first[i] * rfft2(_normalised(other, inside), padded), padded))
         turns.append(turn)
     return Matches(np.array(correlations).reshape(-1, *padded), np.array(turns).reshape(-1, 2, 2), half, float(pitch))
-
-
-def as_grazing_and_incidence(
-    bright: Float64[np.ndarray, "v rows columns"],
-    views: Sequence[View],
-    grid: ImageGrid,
-    pairs: Sequence[tuple[int, int]],
-    sense: int,
-) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-    """Return each pair's highest correlation with grazing angles as given, and as incidence angles.
-
-    Both compare the same number of pixels: more ground around a target lowers the correlation.
-    """
-    interpretations = views, [replace(view, grazing_deg=view.incidence_deg) for view in views]
-    scales = [float(np.mean([view.look.slant_range(1.0) for view in views])) for views in interpretations]
-    given, swapped = (
-        match(bright, views, grid, pairs, sense=sense, within=math.sqrt(min(scales) / scale)).best()
-        for views, scale in zip(interpretations, scales, strict=True)
-    )
-    return given, swapped
 
 
 def stretch_bias(

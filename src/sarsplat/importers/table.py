@@ -94,12 +94,6 @@ class PictureTable:
         known = [kinds[0] for meaning, (exponent, kinds) in FACTORS.items() if meaning in self.columns and exponent < 0]
         return known[0] if known and "scale" not in self.columns else None
 
-    @property
-    def has_stacks(self) -> bool:
-        """True if the table has columns of channels, and several rows for a view."""
-        views = [picture.view for picture in self.pictures if picture.view is not None]
-        return bool(self.columns.keys() & {"baseline", "polarisation"}) and len(set(views)) < len(views)
-
     def refuse_unstated(self, what: str, picture: ListedPicture, remedy: str = "fill it in") -> NoReturn:
         """Raise for a picture whose row does not state something that is needed."""
         raise SarsplatError(f"{self.path} does not state the {what} of {picture.name}; {remedy}")

@@ -32,6 +32,7 @@ from sarsplat.learning.training_images import ViewQueue
 from sarsplat.renderer import Rendering
 from sarsplat.renderer.engines.choice import recorder_for
 from sarsplat.renderer.engines.on_device import NotRecordable
+from sarsplat.renderer.engines.recorder import MOST_WORDS
 from sarsplat.settings.config import Config
 
 _log = logging.getLogger("sarsplat")
@@ -207,7 +208,7 @@ class Trainer:
         built_in = loss is None and law.__module__.startswith("sarsplat.")
         built_in = built_in and all(isinstance(one, Configured) and not one.acts_before() for one in self.strategies)
         views, rates = self._queue.size, len(self.model.parameters) + 2
-        if recorder is None or not RecordedSteps.has_room(views, rates):
+        if recorder is None or 2 * views + 2 + rates > MOST_WORDS:
             return None
         if not built_in or not self._observation.recordable or not isinstance(self.optimiser.stepper, EngineAdam):
             _log.info("CUDA graphs are off: they support built-in losses, laws and strategies on single images only")

@@ -4,10 +4,9 @@ import threading
 import time
 import traceback
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import torch
@@ -142,7 +141,9 @@ def _train_and_score(cell: Cell, folder: Path, row: Row) -> None:
         from sarsplat.report import write_report
 
         write_report(run, quiet=True)
-    row.scores, row.yardstick_m = scores_in(metrics), metrics["parameters"]["yardstick_m"]
+    scores = {name: metrics[name] for name in ("images", "points", "mesh", "baselines", "time_s")}
+    row.scores = {name: value for name, value in dotted(scores) if value is not None}
+    row.yardstick_m = metrics["parameters"]["yardstick_m"]
     row.iterations = run.iteration
 
 
@@ -174,12 +175,6 @@ def _keep(message: Warning | str, category: type[Warning], *place: object) -> No
         own = _lists.get(threading.get_ident())
         for messages in [*_lists.values()] if own is None else [own]:
             messages.append(str(message))
-
-
-def scores_in(metrics: Mapping[str, Any]) -> dict[str, float]:
-    """Scores of a `metrics.json` by dotted key, without None."""
-    scores = {name: metrics[name] for name in ("images", "points", "mesh", "baselines", "time_s")}
-    return {name: value for name, value in dotted(scores) if value is not None}
 
 
 RUN = Work(Cell, Row, do, lost, "start the sweep again to continue it")
