@@ -82,7 +82,7 @@ LAWS: Refusals = [
     (mechanisms(of_faces=np.array([0.5, 1.7])), "of_faces is float64 of shape .2,., .*; give a whole number for each"),
     (mechanisms(of_ground=1.5), "of_ground is 1.5; give a whole number"),
     (mechanisms(polarisations=("HH", "HH", "VV")), "polarisations is .*" + DIFFERENT),
-    (mechanisms(polarisations="HV"), "polarisations is 'HV'" + DIFFERENT),
+    (mechanisms(polarisations="HV"), "polarisations is a single one, 'HV'; put it into a list"),
 ]
 
 
