@@ -84,16 +84,12 @@ class GeolocationGrid:
                     nearest = np.flatnonzero(line == at)
                 elif len(nearest) < count:
                     return None
-                found[k] = np.tensordot(_weights(line[nearest], at), found[k][nearest], 1)
+                nodes = line[nearest]
+                others = [np.delete(nodes, index) for index in range(len(nodes))]
+                weights = [np.prod((at - rest) / (node - rest)) for node, rest in zip(nodes, others)]  # Lagrange's
+                found[k] = np.tensordot(weights, found[k][nearest], 1)
         best, other = found
         return best if np.linalg.norm(best - other) < _ASTRAY_M else None
-
-
-def _weights(nodes: Float64[np.ndarray, " n"], at: float) -> Float64[np.ndarray, " n"]:
-    """Return Lagrange weights of values at the nodes."""
-    return np.array(
-        [np.prod((at - np.delete(nodes, k)) / (node - np.delete(nodes, k))) for k, node in enumerate(nodes)]
-    )
 
 
 @dataclass(frozen=True)

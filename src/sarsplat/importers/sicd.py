@@ -205,7 +205,6 @@ def _assumptions(
     absolute: bool,
     stack: bool,
 ) -> list[str]:
-    """Return sentences on assumptions."""
     around, pixel = given
     how = "as given" if around else f"what pixel {pixel} shows" if pixel else "the first image's scene centre point"
     if around and len(around) == 2:  # type: ignore[arg-type]

@@ -133,20 +133,16 @@ class Sampler:
         if self._backdrop is None:
             developed = [self._model.developed(power, shot) for power in (images, without)]
         else:
-            part = self._part_of(self._backdrop, rng)
+            rows, columns = self._grid.rows, self._grid.columns
+            top, left = (
+                self._parts * int(rng.integers((had - needed) // self._parts + 1))
+                for had, needed in zip(self._backdrop.shape, (rows, columns), strict=True)
+            )
+            part = self._backdrop[top : top + rows, left : left + columns]
             developed = [self._on_ground(power, without[:, channel], part, shot) for power in (images, without)]
         power, rest = (image[0, channel].clamp(min=0) for image in developed)
         share = (1 - rest / power.clamp(min=torch.finfo(power.dtype).tiny)).clamp(min=0)
         return power.cpu().numpy(), share.cpu().numpy()
-
-    def _part_of(self, backdrop: Tensor, rng: np.random.Generator) -> Tensor:
-        """Random part of the given ground, of the image's size."""
-        rows, columns = self._grid.rows, self._grid.columns
-        top, left = (
-            self._parts * int(rng.integers((had - needed) // self._parts + 1))
-            for had, needed in zip(backdrop.shape, (rows, columns), strict=True)
-        )
-        return backdrop[top : top + rows, left : left + columns]
 
     def _on_ground(
         self,

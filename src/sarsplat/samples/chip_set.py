@@ -130,7 +130,6 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
 
     @cached_property
     def _draw(self) -> list[DrawsSamples]:
-        """Sampler of each run."""
         backdrops = [backdrop_of(self.ground, run.grid) for run in self.runs]
         draw = []
         for run, backdrop in zip(self.runs, backdrops, strict=True):

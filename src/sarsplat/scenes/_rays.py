@@ -204,7 +204,10 @@ def sparse_hits(
     columns, rows = (int(count) for count in np.ceil(bounds.max(axis=0)).astype(np.int64) - first)
     vertices, edges = square(facets.vertices[:, :2]) - first, patches.outlines_from(facets.vertices[:, :2])
     outlined = entered_cells(vertices[edges[:, 0]], vertices[edges[:, 1]], (max(rows, 1), max(columns, 1)))
-    parts = _parts(facets, patches, side, resolution, least_slope)
+    axes = turned(np.eye(2))  # unit vectors along the sides of squares
+    slopes = np.maximum(np.abs(facets.slope[patches.largest_face] @ axes.T), least_slope * np.abs(axes[:, 1]))
+    steps = side * np.maximum(slopes / resolution[1], np.abs(axes[:, 0]) / resolution[0])
+    parts = np.clip(np.ceil(steps / _FLAT_STEP), 1, _RAYS_PER_SIDE).astype(np.int64)  # along sides, of each patch
     tiles = [
         (row, column) for row in range(0, rows, _SQUARES_PER_TILE) for column in range(0, columns, _SQUARES_PER_TILE)
     ]
@@ -235,17 +238,6 @@ def sparse_hits(
             at, face = at[hit], face[hit]
             yield Hits(at, facets.depth(face, at), face, spacing**2)
     progress(1.0)
-
-
-def _parts(
-    facets: Facets, patches: Patches, side: float, resolution: tuple[float, float], least_slope: float
-) -> Int64[np.ndarray, "patches 2"]:
-    """Return the number of parts along each side of a square, for each patch."""
-    axes = turned(np.eye(2))  # unit vectors along the sides
-    slope = facets.slope[patches.largest_face]
-    along_range = np.maximum(np.abs(slope @ axes.T), least_slope * np.abs(axes[:, 1])) / resolution[1]
-    steps = side * np.maximum(along_range, np.abs(axes[:, 0]) / resolution[0])
-    return np.clip(np.ceil(steps / _FLAT_STEP), 1, _RAYS_PER_SIDE).astype(np.int64)
 
 
 def _centers(

@@ -149,7 +149,6 @@ def _check(state: Parameters, count: int, grid: ImageGrid) -> None:
 
 
 def _view(azimuth_deg: float, grazing_deg: float, tilt_deg: float = 0.0, left: float = 0.0) -> View:
-    """View of a row of `view_deg`."""
     return View(azimuth_deg, grazing_deg, tilt_deg, "left" if left else "right")
 
 
