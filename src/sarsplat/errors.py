@@ -1,7 +1,6 @@
 """Errors and warnings for users, and helpers for their sentences."""
 
-from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from collections.abc import Collection
 from difflib import get_close_matches
 
 
@@ -24,15 +23,6 @@ class AssumptionWarning(SarsplatWarning):
 
     The command line prints it among the assumptions.
     """
-
-
-@contextmanager
-def blamed_on(place: object) -> Iterator[None]:
-    """Prefix errors in the block with the file, field or image that causes them."""
-    try:
-        yield
-    except SarsplatError as error:
-        raise SarsplatError(f"{place}: {error}") from error
 
 
 def counted(number: int, noun: str) -> str:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,7 +20,7 @@ from sarsplat.data.header import SCHEMA, SCHEMA_VERSION, DatasetHeader, ViewHead
 from sarsplat.data.sidecar import MASKS, encode_masks, sidecars_of
 from sarsplat.data.terrain_file import read_terrain, write_terrain
 from sarsplat.data.tiff import read_tiff, write_tiff
-from sarsplat.errors import SarsplatError, blamed_on
+from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, Stack, Turn, View
 
 if TYPE_CHECKING:
@@ -164,7 +165,7 @@ def read_dataset(path: str | Path) -> Dataset:
     """
     path = Path(path)
     header = read_header(path)
-    with blamed_on(path / HEADER):
+    with _blamed_on(path / HEADER):
         grid = ImageGrid.of(**msgspec.structs.asdict(header.grid))
         entries = tuple(_entry(index, item) for index, item in enumerate(header.views))
         files = [inside(path, item.file) for item in header.views]
@@ -179,7 +180,7 @@ def read_dataset(path: str | Path) -> Dataset:
     make, pixel = (Dataset.of_complex, np.complex64) if header.pixels == "complex" else (Dataset, np.float32)
     shape = (passes, grid.rows, grid.columns) if passes else (grid.rows, grid.columns)
     images = [read_tiff(file, shape, pixel) for file in files]
-    with blamed_on(path / HEADER):
+    with _blamed_on(path / HEADER):
         dataset = make(
             grid,
             entries,
@@ -208,14 +209,23 @@ def read_header(path: Path) -> DatasetHeader:
     )
 
 
+@contextmanager
+def _blamed_on(place: object) -> Iterator[None]:
+    """Prefix errors in the block with the file or field that causes them."""
+    try:
+        yield
+    except SarsplatError as error:
+        raise SarsplatError(f"{place}: {error}") from error
+
+
 def _entry(index: int, item: ViewHeader) -> DatasetEntry:
-    with blamed_on(f"views[{index}]"):
+    with _blamed_on(f"views[{index}]"):
         if item.apart_deg or item.apart_towards_deg:
             raise SarsplatError("the view is bistatic, which is not supported; give images of one radar")
         view = View(item.azimuth_deg, item.grazing_deg, item.tilt_deg, item.side, item.aloft, item.stretch)
-    with blamed_on(f"views[{index}].stack"):
+    with _blamed_on(f"views[{index}].stack"):
         stack = None if item.stack is None else Stack(**msgspec.structs.asdict(item.stack))
-    with blamed_on(f"views[{index}].turn"):
+    with _blamed_on(f"views[{index}].turn"):
         turn = None if item.turn is None else Turn(**msgspec.structs.asdict(item.turn))
         if turn is not None:
             turn.check(view)

@@ -16,7 +16,7 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.data import geotiff
 from sarsplat.data.files import open_file, write_bytes
 from sarsplat.data.geotiff import LEVELS, Raster
-from sarsplat.errors import SarsplatError, SarsplatWarning, blamed_on, counted, shown
+from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
 from sarsplat.geometry import Place, Terrain
 from sarsplat.geometry.place import HeightAbove
 
@@ -83,8 +83,10 @@ def read_terrain(path: str | Path) -> Terrain:
         found = read_heights(path)
         (x, y), (on_x, on_y) = found.raster.pitch_m, found.metres
         heights, pitch, place = _known_part(path, found.raster.values), (x * on_x, y * on_y), found.place
-    with blamed_on(path):
+    try:
         return Terrain(np.ascontiguousarray(heights[::-1]), pitch, place)
+    except SarsplatError as error:
+        raise SarsplatError(f"{path}: {error}") from error
 
 
 def _read_own(path: Path) -> tuple[Float64[np.ndarray, "rows columns"], tuple[float, float]] | None:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Num
 
 from sarsplat.arguments import expect_fields
-from sarsplat.errors import SarsplatError, blamed_on
+from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, Stack, View
 from sarsplat.geometry.responses import GAUSSIAN, Response
 
@@ -75,5 +75,7 @@ class MeasuredImage:
 
 def view_of(name: str, azimuth_deg: float, grazing_deg: float, tilt_deg: float = 0.0) -> View:
     """Return the view of the image with this name; errors begin with it."""
-    with blamed_on(name):
+    try:
         return replace(View(azimuth_deg, grazing_deg, tilt_deg), azimuth_deg=azimuth_deg % 360)
+    except SarsplatError as error:
+        raise SarsplatError(f"{name}: {error}") from error

@@ -12,7 +12,7 @@ import numpy as np
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data.dataset import Dataset
-from sarsplat.errors import SarsplatError, blamed_on, shown
+from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import Stack
 from sarsplat.importers.about import AboutPictures
 from sarsplat.importers.listed_images import Angles, in_range, read_pictures, write_pictures
@@ -164,10 +164,12 @@ def _stack(
                     f"{where} has channels of different {words}, {shown(expected)} in {first.name} and {shown(own)} in "
                     f"{image.name}; coregister them, and give them the same"
                 )
-    with blamed_on(where):
+    try:
         offsets = tuple(row.baseline_rad or 0.0 for row in rows)
         noises = None if noise is None else (noise,) * len(rows)
         stack = Stack(wavelength_m, offsets, transmit, noises, _polarisations(listed, rows))
+    except SarsplatError as error:
+        raise SarsplatError(f"{where}: {error}") from error
     signal = np.stack([image.pixels for image in images])
     if conjugate:
         signal = signal.conj()

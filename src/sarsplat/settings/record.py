@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, Union, get_
 
 import msgspec
 
-from sarsplat.errors import SarsplatError, blamed_on, shown
+from sarsplat.errors import SarsplatError, shown
 from sarsplat.threads import convert
 
 
@@ -81,8 +81,10 @@ class Record:
         Absent fields take their defaults, as in older files. Raises if a field is unknown, invalid, or missing without
         a default.
         """
-        with blamed_on(source):
+        try:
             return _read(data, cls)
+        except SarsplatError as error:
+            raise SarsplatError(f"{source}: {error}") from error
 
 
 R = TypeVar("R", bound=Record)
