@@ -7,7 +7,6 @@ import subprocess
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-_KERNELS = "tests/renderer/test_cpu_engine.py"
 
 
 def changed() -> list[str]:
@@ -23,7 +22,7 @@ def tests_of(path: str) -> list[str]:
     if file.parts[0] == "tests":
         return [path] if file.name.startswith("test_") and (ROOT / file).exists() else []
     if "csrc" in file.parts:
-        return [_KERNELS]
+        return ["tests/renderer/test_cpu_engine.py"]
     if file.parts[:2] != ("src", "sarsplat") or file.suffix != ".py":
         return []
     room = ROOT / "tests" / Path(*file.parts[2:-1])

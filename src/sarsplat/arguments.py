@@ -86,6 +86,12 @@ def expect(kind: Any, **values: object) -> None:
         _expect(tuple(_alternatives(kind)), name, value)
 
 
+def expect_fields(record: object) -> None:
+    """Raise for fields of a dataclass that are not of their annotated types, as `checks_arguments` does."""
+    for name, value in vars(record).items():
+        _expect(_kinds(type(record).__init__)[name], name, value)
+
+
 def _expect(kinds: Sequence[Any], name: str, value: object) -> None:
     if type(value) not in kinds and not _fits(value, kinds):  # the first test is cheap
         raise SarsplatError(f"{name} {_error(value, kinds)}")

@@ -43,12 +43,6 @@ EXTRAS = {
 """Extra → its modules → their distributions."""
 
 
-def extra_with(module: str) -> str | None:
-    """Return the extra that provides a module, or None."""
-    root = module.partition(".")[0]
-    return next((extra for extra, modules in EXTRAS.items() if root in modules), None)
-
-
 def install_command(extra: str) -> str:
     """Return the sentence on installing an extra; by its packages if sarsplat itself is not installed."""
     if installed_version("sarsplat") is None:

@@ -201,7 +201,7 @@ def test_masks_without_pillow_are_refused_before_any_work(tmp_path: Path, monkey
     monkeypatch.setitem(sys.modules, "PIL", None)
     monkeypatch.setattr("sarsplat.scenes.simulate.simulate_images", None)
     told = refused(f"simulate --target t72 --masks --out {tmp_path}/new")
-    assert "masks need Pillow; install it with" in told
+    assert "a mask needs pillow, which is not installed; install it with" in told
 
 
 def test_images_need_not_be_square(box: Path) -> None:

@@ -280,7 +280,6 @@ def test_a_missing_extra_names_the_command_to_get_it(tmp_path: Path, monkeypatch
     assert "pip install 'sarsplat[simulate]'" in refused(simulate)
     monkeypatch.setattr(extras, "installed_version", lambda _: None)  # from source: no index has our package
     assert "not installed; install it with: pip install trimesh" in refused(simulate)
-    assert extras.extra_with("json") is None
 
 
 def test_ctrl_c_while_the_program_is_loading(monkeypatch, capsys) -> None:

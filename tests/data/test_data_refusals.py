@@ -313,7 +313,6 @@ MASKS: Refusals = [
 
 HEIGHTS = np.arange(12.0).reshape(3, 4)
 DEGREES = (1, 1, 0, 1, 1024, 0, 1, 2)
-FEET = (1, 1, 0, 2, 1024, 0, 1, 1, 3072, 0, 1, 2263)
 UNKNOWN = (1, 1, 0, 3, 1024, 0, 1, 1, 3072, 0, 1, 32767)
 OWN_UNIT = (3076, 0, 1, 32767)
 TURNED = (34264, "d", 16, (2.0, 1, 0, 7, 1, -3, 0, 9, 0, 0, 0, 0, 0, 0, 0, 1), True)
@@ -330,7 +329,7 @@ def heights(values: np.ndarray = HEIGHTS, cut: int | None = None, **options: Any
 
 TERRAIN: Refusals = [
     (heights(keys=DEGREES), "measured north in units called"),
-    (heights(keys=FEET), "measured east in units called US survey foot"),
+    (heights(keys=(1, 1, 0, 2, 1024, 0, 1, 1, 3072, 0, 1, 2263)), "measured east in units called US survey foot"),
     *((heights(keys=(*UNKNOWN, key, 0, 1, 9002)), "another unit than metres .EPSG 9002") for key in (3076, 4099)),
     (heights(keys=(*UNKNOWN, *OWN_UNIT), extra=[(34736, "d", 1, (0.3,), True)]), "another unit than metres"),
     (heights(scale=None), "no pixel size"),

@@ -143,7 +143,7 @@ def test_a_map_that_is_nowhere_is_told(tmp_path, monkeypatch):
         assert read_terrain(on_map(tmp_path / "a.tif", 32632, 5e11, 5e6)).place is None
     assert read_terrain(on_map(tmp_path / "a.tif", 1500, 5e5, 5e6)).pitch_m == (20.0, 30.0)  # of no known system
     monkeypatch.setitem(sys.modules, "rasterio", None)
-    with pytest.raises(SarsplatError, match=r"needs rasterio and pyproj, which are not installed; .*sarsplat\[gis\]"):
+    with pytest.raises(SarsplatError, match=r"needs rasterio, which is not installed; .*sarsplat\[gis\]"):
         read_terrain(tmp_path / "a.tif")
     dataset = small_dataset(terrain=hill())  # of our own files
     assert read_dataset(write_dataset(tmp_path / "d", dataset).path).terrain.pitch_m == dataset.terrain.pitch_m

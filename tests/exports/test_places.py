@@ -208,7 +208,7 @@ def test_a_ring_is_cut_where_it_crosses_the_date_line() -> None:
 
 def test_without_pyproj_it_says_what_to_install(anywhere: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "pyproj", None)
-    with pytest.raises(SarsplatError, match=r"need pyproj, which is not installed; .*sarsplat\[gis\]"):
+    with pytest.raises(SarsplatError, match=r"needs pyproj, which is not installed; .*sarsplat\[gis\]"):
         export(at(anywhere, Place(1.0, 2.0, 3.0)), tmp_path / "a.las")
     assert "outline of 500 points" in export(at(anywhere, Place(1.0, 2.0, 3.0)), tmp_path / "a.geojson").summary
 

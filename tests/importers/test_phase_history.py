@@ -23,7 +23,6 @@ from sarsplat.importers.phase_history_images import focus, ground_points
 
 MEASURED = Path(__file__).resolve().parents[3] / "shared" / "data" / "gotcha"
 needs_measured = pytest.mark.skipif(not MEASURED.is_dir(), reason="the measured GOTCHA files are not here")
-ORIGIN = np.zeros(3)
 pytestmark = pytest.mark.filterwarnings(
     "ignore:(the training views leave|there is one training view|resolutions differ)"
 )
@@ -236,7 +235,7 @@ def test_the_command(files, tmp_path, capsys):
 @needs_measured
 def test_measured_pulses_are_sharp_and_the_autofocus_makes_them_so():
     path = next(MEASURED.glob("*az001*.mat"))
-    (found,) = apertures(*flights([read_gotcha(path)]), around_m=ORIGIN, width_deg=None)
+    (found,) = apertures(*flights([read_gotcha(path)]), around_m=np.zeros(3), width_deg=None)
     grid = ImageGrid(60, 60, (0.3, 0.3), (0.3, 0.3), (-21.0, 10.5))  # around a calibration target
     as_flown = read_mat(path)["data"]
     raw = replace(

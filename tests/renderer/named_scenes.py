@@ -12,6 +12,8 @@ from sarsplat import MIN_SCALE, Gaussians, Ground, Harmonics, ImageGrid, RayGrid
 from sarsplat.renderer.echoes import GroundEcho
 
 GRID = ImageGrid(20, 24, spacing_m=(0.2, 0.2), resolution_m=(0.3, 0.3))
+FEW_PIXELS = ImageGrid(5, 6, spacing_m=(0.35, 0.35), resolution_m=(0.4, 0.45))
+FEW_RAYS = RayGrid((0.27, 0.31))  # finite differences of every number take two renderings each
 ODD = ImageGrid(19, 23, spacing_m=(0.2, 0.21), resolution_m=(0.3, 0.4))
 VIEWS = (View(20.0, 40.0), View(200.0, 15.0), View(77.0, 75.0))
 UNUSUAL = (View(20.0, 40.0, 25.0), View(200.0, 15.0, side="left"), View(77.0, 60.0, -40.0, "left"))
@@ -164,11 +166,8 @@ def _textured(height_m: float | Terrain) -> Ground:
 
 
 def _gradcheck(base: Gaussians, **more: object) -> Scene:
-    # few, coarse rays: finite differences of every number take two renderings each
-    grid = ImageGrid(5, 6, spacing_m=(0.35, 0.35), resolution_m=(0.4, 0.45))
-    rays = RayGrid((0.27, 0.31))
-    scene = Scene(base, (VIEWS[0], VIEWS[2]), grid, rays, shift=0.1 * _random(1, 2, 2), gain=torch.tensor([1.3, 0.7]))
-    return replace(scene, **more)
+    both, shift, gain = (VIEWS[0], VIEWS[2]), 0.1 * _random(1, 2, 2), torch.tensor([1.3, 0.7])
+    return replace(Scene(base, both, FEW_PIXELS, FEW_RAYS, shift=shift, gain=gain), **more)
 
 
 GRADCHECK: dict[str, Callable[[], Scene]] = {

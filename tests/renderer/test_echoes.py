@@ -10,7 +10,7 @@ import pytest
 import torch
 from compared import check_agreement, check_gradients, differentiated, relative
 from emulated_cuda import Emulator, render_on
-from named_scenes import CLOUDS, GRID, UNUSUAL, VIEWS, cloud, wall, with_scales
+from named_scenes import CLOUDS, FEW_PIXELS, FEW_RAYS, GRID, UNUSUAL, VIEWS, cloud, wall, with_scales
 from test_cpu_engine import AVAILABLE
 from torch import Tensor
 
@@ -93,15 +93,9 @@ def test_feet_are_pressed_flat() -> None:
 
 
 # ---- gradients -------------------------------------------------------------------------------------------------------
-def _small() -> tuple[Gaussians, ImageGrid, RayGrid]:
-    scene = cloud(4, 3, size=(0.6, 0.5, 0.5), scale=0.2, kappa=(0.7, 2.0), degree=2)
-    grid = ImageGrid(5, 6, spacing_m=(0.35, 0.35), resolution_m=(0.4, 0.45))
-    return scene, grid, RayGrid((0.27, 0.31))
-
-
 @pytest.mark.parametrize("given", [False, True])
 def test_gradients_of_the_reference_are_finite_differences(given: bool) -> None:
-    scene, grid, rays = _small()
+    scene = cloud(4, 3, size=(0.6, 0.5, 0.5), scale=0.2, kappa=(0.7, 2.0), degree=2)
     views, generator = (VIEWS[0], VIEWS[2]), torch.Generator().manual_seed(1)
     leaves = {name: tensor.double() for name, tensor in scene.tensors().items()}
     leaves["shift"] = 0.1 * torch.randn(2, 2, generator=generator, dtype=torch.float64)
@@ -115,8 +109,9 @@ def test_gradients_of_the_reference_are_finite_differences(given: bool) -> None:
         named = dict(zip(leaves, values, strict=True))
         fields = {name: named.get(name, tensor.double()) for name, tensor in scene.tensors().items()}
         bounce = GroundBounce(level(torch.float64), named["reflectivity"], named.get("own"))
-        how = {"rays": rays, "shift": named["shift"], "echoes": [bounce], "cuts": False}
-        return [render_reference(scene.with_tensors(**fields), views, grid, **how).echoes[0]]  # type: ignore[arg-type]
+        how = {"rays": FEW_RAYS, "shift": named["shift"], "echoes": [bounce], "cuts": False}
+        rendering = render_reference(scene.with_tensors(**fields), views, FEW_PIXELS, **how)  # type: ignore[arg-type]
+        return [rendering.echoes[0]]
 
     check_gradients(image, tuple(leaves.values()))
     (shown,) = image(*leaves.values())

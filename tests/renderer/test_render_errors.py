@@ -65,8 +65,6 @@ ARGUMENTS: list[tuple[tuple[str, ...], dict[str, object], str]] = [
     (PLAIN, {"imaging_weight": "round"}, "choose one of area, peak"),
     (PLAIN, {"first_return_depth": 0.0}, "positive two-way"),
     (PLAIN, {"first_return_depth": NAN}, "positive two-way"),
-    (PLAIN, {"gain": torch.ones(3, device="meta")}, "gain is on torch's meta device"),
-    (PLAIN, {"gaussians": TEN.to("meta")}, "means is on torch's meta device"),
     (PLAIN, {"amplitudes": torch.ones(3, 10, 1).to(torch.complex64)}, r"complex64.* sarsplat.splat"),
     (("gpu",), {}, "choose one of auto, cpu, cuda, reference"),
     (CPU, {"instruction_set": "sse9"}, "choose one of auto, base, avx2, avx512"),

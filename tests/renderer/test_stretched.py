@@ -12,7 +12,7 @@ import torch
 import trimesh
 from compared import check_agreement, check_gradients, differentiated, relative
 from emulated_cuda import Emulator
-from named_scenes import CLOUDS, GRID, UNUSUAL, cloud
+from named_scenes import CLOUDS, FEW_PIXELS, FEW_RAYS, GRID, UNUSUAL, cloud
 from torch import Tensor
 
 from sarsplat import Gaussians, Ground, ScatteringLaw, simulate_images, simulate_raycast
@@ -50,7 +50,6 @@ def test_it_is_the_image_of_narrower_pixels_with_less_power_each(engine: str) ->
 @pytest.mark.parametrize("given", [False, True])
 def test_gradients_are_finite_differences(given: bool) -> None:
     scene = cloud(4, 3, size=(0.6, 0.5, 0.5), scale=0.2, kappa=(0.7, 2.0), degree=2)
-    grid, rays = ImageGrid(5, 6, spacing_m=(0.35, 0.35), resolution_m=(0.4, 0.45)), RayGrid((0.27, 0.31))
     leaves = {name: tensor.double() for name, tensor in scene.tensors().items()}
     leaves["shift"] = torch.tensor([[0.1, -0.2], [0.05, 0.1]], dtype=torch.float64)
     leaves["gain"] = torch.tensor([0.7, 1.4], dtype=torch.float64)
@@ -62,9 +61,8 @@ def test_gradients_are_finite_differences(given: bool) -> None:
         named = dict(zip(leaves, values, strict=True))
         fields = {name: named.get(name, tensor.double()) for name, tensor in scene.tensors().items()}
         how = {name: named.get(name) for name in ("shift", "gain", "amplitudes")}
-        rendering = render_stretched(
-            Steps(None, cuts=False), scene.with_tensors(**fields), VIEWS, grid, rays=rays, **how
-        )
+        scaled = scene.with_tensors(**fields)
+        rendering = render_stretched(Steps(None, cuts=False), scaled, VIEWS, FEW_PIXELS, rays=FEW_RAYS, **how)
         return [rendering.images, rendering.cross_sections]
 
     check_gradients(outputs, tuple(tensor.requires_grad_() for tensor in leaves.values()))

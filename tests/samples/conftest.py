@@ -8,7 +8,6 @@ import torch
 from made_runs import made_up
 from sarsplat import Run
 
-LOG_GAINS = torch.tensor([-0.4, 0.4, -0.4, 0.4, -0.4, 0.4])
 SHIFTS_M = torch.tensor([[0.3, -0.1], [0.1, 0.1]]).repeat(3, 1)
 
 
@@ -17,7 +16,7 @@ def run() -> Run:
     made = made_up("box")
     with torch.no_grad():
         assert made.model is not None
-        made.model.parameters["log_gain"].copy_(LOG_GAINS)
+        made.model.parameters["log_gain"].copy_(torch.tensor([-0.4, 0.4, -0.4, 0.4, -0.4, 0.4]))
         made.model.parameters["shift"].copy_(SHIFTS_M)
     texture = next(part for part in made.model.parts if part.name == "texture")
     texture.load(texture.state() | {"shift_m": SHIFTS_M})

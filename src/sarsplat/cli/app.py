@@ -53,7 +53,8 @@ def run(words: list[str]) -> int:
             console.complain(str(error))
             return _MISUSED
         except ModuleNotFoundError as error:
-            extra = extras.extra_with(error.name or "")
+            root = (error.name or "").partition(".")[0]
+            extra = next((extra for extra, modules in extras.EXTRAS.items() if root in modules), None)
             if extra is None:
                 raise
             console.complain(f"this needs {error.name}, which is not installed; {extras.install_command(extra)}")

@@ -3,7 +3,7 @@
 import shlex
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import tyro
 
@@ -23,9 +23,6 @@ from sarsplat.cli.signals import keeping
 from sarsplat.errors import counted
 from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side, Speckle
 from sarsplat.settings.config import SCATTERERS
-
-if TYPE_CHECKING:
-    from sarsplat.samples import Chips
 
 
 @option_group
@@ -130,7 +127,15 @@ def chips(
     )
     with keeping(lambda: "what is finished is kept, and the same command goes on from there"):
         write_chips(made, out, shard=draws.shard, overwrite=overwrite, quiet=False)
-    console.finish(f"{out}: {_summary(made)}; {LABELS} lists their contents", _next(out, made, draws.shard))
+    many = f" of {len(made.classes)} classes" if len(made.classes) > 1 else f" of {made.classes[0]}"
+    rows, columns = made.encoding.size(made.runs[0].grid)
+    then = f"look at {shlex.quote(str(out / made.classes[0]))}, and train on all"
+    if draws.shard is not None:
+        then = f"train on {out}/chips-*.tar, shuffled and"
+    console.finish(
+        f"{out}: {counted(len(made), 'chip')}{many}, {rows} × {columns} pixels; {LABELS} lists their contents",
+        f"{then} mixed with measured chips (docs/how-to/chips.md)",
+    )
 
 
 def _write_measured(datasets: tuple[Path, ...], out: Path, encoding: dict[str, Any], overwrite: bool) -> None:
@@ -145,16 +150,3 @@ def _write_measured(datasets: tuple[Path, ...], out: Path, encoding: dict[str, A
         f"train on {shlex.quote(str(out / 'train'))} (torchvision's ImageFolder), half and half with generated chips "
         "(docs/how-to/chips.md)",
     )
-
-
-def _summary(made: "Chips") -> str:
-    many = f" of {len(made.classes)} classes" if len(made.classes) > 1 else f" of {made.classes[0]}"
-    rows, columns = made.encoding.size(made.runs[0].grid)
-    return f"{counted(len(made), 'chip')}{many}, {rows} × {columns} pixels"
-
-
-def _next(out: Path, made: "Chips", shard: int | None) -> str:
-    if shard is not None:
-        return f"train on {out}/chips-*.tar, shuffled and mixed with measured chips (docs/how-to/chips.md)"
-    folder = shlex.quote(str(out / made.classes[0]))
-    return f"look at {folder}, and train on all mixed with measured chips (docs/how-to/chips.md)"

@@ -24,7 +24,13 @@ _QUOTED = r"`(?P<name>[a-z][a-z0-9_.]+)(?:=(?P<value>[^`]*))?`"
 _BARE = r"(?<![\w./=,-])(?P<bare>[a-z][a-z0-9_]+)=(?P<literal>True|False|None|'[^']*'|\"[^\"]*\")(?!\w|[/.,]\S)"
 """Python parameters in messages: `name` or `name=value` in backquotes; name=True, =False, =None or ='text' without."""
 
-_RENAMED = {"alignment": "align", "azimuths_deg": "azimuth", "ground_gamma0": "ground", "target_class": "class"}
+_RENAMED = {
+    "alignment": "align",
+    "azimuths_deg": "azimuth",
+    "content": "format",
+    "ground_gamma0": "ground",
+    "target_class": "class",
+}
 """Options that are not named like the library's parameters, besides units."""
 
 _SPECIAL = {"calibration='absolute'": "--calibrated", "looks=None": "--looks 0"}

@@ -96,17 +96,11 @@ def _show(metrics: Mapping[str, Any], run: "Run") -> None:
     yardstick = Yardstick(metrics["parameters"]["yardstick_m"])
     console.show(metrics_table(comparison(metrics, paper), yardstick, NOT_THE_SAME_EXPERIMENT if paper else None))
     if (capon := metrics.get("capon")) is not None:
-        console.say(_beside(metrics["points"]["visible"], capon["visible"]))
+        own, other = metrics["points"]["visible"], capon["visible"]
+        keys = [key for key in other if key.startswith("f1@") and other[key] is not None and own[key] is not None]
+        pairs = ", ".join(f"{key.replace('f1', 'F1')} {own[key]:.3f} (Capon {other[key]:.3f})" for key in keys)
+        console.say(f"points beside those of Capon's method, pixel by pixel over 3 × 3: {pairs or 'it found none'}")
     console.warn_if_beaten(metrics)
-
-
-def _beside(own: dict[str, float | None], capon: dict[str, float | None]) -> str:
-    """Return a sentence that compares F1 of the points with that of Capon's method on the same stacks."""
-    scores = [
-        key for key, value in capon.items() if key.startswith("f1@") and value is not None and own[key] is not None
-    ]
-    pairs = ", ".join(f"{key.replace('f1', 'F1')} {own[key]:.3f} (Capon {capon[key]:.3f})" for key in scores)
-    return f"points beside those of Capon's method, pixel by pixel over 3 × 3: {pairs or 'it found none'}"
 
 
 def _of_gaussians(file: Path, dataset: Path | None, mesh: Path | None) -> "Run":

@@ -149,22 +149,16 @@ def describe_contents(path: Path) -> bool:
             f"{_beside(path, 'runs')}"
         )
     elif counts[_DATASET] > 1:
-        _offer_plan(path, [folder for folder, marker in entries if marker == _DATASET])
+        parents = dict.fromkeys(folder.parent for folder, marker in entries if marker == _DATASET)
+        console.say("to reconstruct and score all datasets, write these two lines to plan.toml:")
+        console.say(f"  datasets = {json.dumps([f'{parent}/*' for parent in parents])}\n  seeds = [0, 1, 2]")
+        console.say(f"and run: sarsplat sweep plan.toml --out {_beside(path, 'fleet')}")
     return True
 
 
 def _beside(path: Path, what: str) -> str:
     """Return a folder name derived from another, quoted for a shell."""
     return shlex.quote(f"{path.resolve().name}-{what}")
-
-
-def _offer_plan(path: Path, datasets: Sequence[Path]) -> None:
-    """Print a plan and a command that reconstruct all datasets."""
-    patterns = json.dumps([f"{parent}/*" for parent in dict.fromkeys(folder.parent for folder in datasets)])
-    fleet = _beside(path, "fleet")
-    console.say("to reconstruct and score all datasets, write these two lines to plan.toml:")
-    console.say(f"  datasets = {patterns}\n  seeds = [0, 1, 2]")
-    console.say(f"and run: sarsplat sweep plan.toml --out {fleet}")
 
 
 def _entries(path: Path) -> Iterator[tuple[Path, str]]:

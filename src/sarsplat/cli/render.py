@@ -160,7 +160,11 @@ def render(
     look = Look(done.brightest, pictures.range_db, pictures.cmap or POWER)
     look.palette()  # an unknown colour map is rejected before the work
     grid = asked_grid(done.grid, size.pixels, size.spacing, size.resolution)
-    _refuse_too_large(len(directions), grid.rows, grid.columns)
+    count, pixels = len(directions), grid.rows * grid.columns
+    work = f"rendering {counted(count, 'image')} of {grid.rows:,} × {grid.columns:,} pixels"
+    needed = pixels * (_BYTES_KEPT * (count + min(count, _AT_A_TIME)) + _BYTES_SHOWN)
+    if (announcement := required(work, needed, "ask for fewer or smaller images")) is not None:
+        console.say(announcement)
     tiles = out.with_name(f".{out.name}.tiles")
     finished = f"{tiles} keeps what is finished, and the same command goes on from there"
     with keeping(lambda: finished if tiles.exists() else ""), tiles_kept_in(tiles):
@@ -195,14 +199,6 @@ def _legend(run: Run, look: Look, view: View, brightest: str) -> str:
         f"pictures: {colours} from −{look.range_db:g} dB ({low}) to 0 dB ({high}), where 0 dB is the "
         f"{brightest}, {level}; row 0 is near range{like}"
     )
-
-
-def _refuse_too_large(views: int, rows: int, columns: int) -> None:
-    """Raise if the images do not fit into memory together; announce large amounts."""
-    needed = rows * columns * (_BYTES_KEPT * (views + min(views, _AT_A_TIME)) + _BYTES_SHOWN)
-    work = f"rendering {counted(views, 'image')} of {rows:,} × {columns:,} pixels"
-    if (announcement := required(work, needed, "ask for fewer or smaller images")) is not None:
-        console.say(announcement)
 
 
 def _absolute(run: Run) -> bool | None:

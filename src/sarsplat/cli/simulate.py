@@ -170,10 +170,8 @@ def _images(options: Options, scene: _Scene, about: dict[str, Any]) -> Dataset:
     physics |= {"ray_spacing": _ray_spacing(options, scene), "bounces": options.echoes.bounces}
     physics |= {"ground_reflectivity": options.ground.ground_reflectivity}
     how = {"source": options.echoes.source, "seed": options.seed, **physics}
-    physics |= {
-        "reflectivity": part_reflectivity(scene.surface, reflectivity_db, options.seed),
-        "terrain": scene.relief,
-    }
+    physics["reflectivity"] = part_reflectivity(scene.surface, reflectivity_db, options.seed)
+    physics["terrain"] = scene.relief
     error_db, power_by_echo = None, dict[str, float]()
     with progress(f"simulate {scene.name}", len(scene.splits)) as shown:
         if options.echoes.source == "raycast":

@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Complex, Complex64, Real
 
-from sarsplat.arguments import checks_arguments, expect, is_number
+from sarsplat.arguments import checks_arguments, expect, expect_fields
 from sarsplat.data.header import SCHEMA, SCHEMA_VERSION, SPLIT, Box, Calibration, DatasetHeader
 from sarsplat.data.image import SarImage, as_signal, check_power, check_signal, in_blocks, power_of_passes
 from sarsplat.errors import SarsplatError, counted, shown
@@ -61,14 +61,11 @@ class DatasetEntry:
     turn: Turn | None = None
 
     def __post_init__(self) -> None:
-        expect(View, view=self.view)
-        expect(str, split=self.split, name=self.name)
-        expect(Stack | None, stack=self.stack)
-        expect(Turn | None, turn=self.turn)
+        expect_fields(self)
         if self.turn is not None:
             self.turn.check(self.view)
         std = self.azimuth_std_deg
-        if not is_number(std) or not 0 <= std <= _MAX_AZIMUTH_STD_DEG:  # also catches NaN
+        if not 0 <= std <= _MAX_AZIMUTH_STD_DEG:  # also catches NaN
             raise SarsplatError(
                 f"azimuth_std_deg {shown(std)} of the image {shown(self.name)} is not a number between 0 and "
                 f"{_MAX_AZIMUTH_STD_DEG:g}; give degrees, and improve less certain azimuths first"

@@ -76,9 +76,8 @@ def write_dataset(
     mesh = _mesh_bytes(dataset, truth_mesh)
     pngs = {} if masks is None else encode_masks(masks, dataset)
     if pictures is None:
-        sidecars = sidecars_of(dataset, lambda folder: _has_images(folder, dataset))
-        dataset, pictures = replace(dataset, source=sidecars.source), sidecars.pictures
-        pngs = sidecars.masks if masks is None else pngs
+        source, pictures, kept = sidecars_of(dataset, lambda folder: _has_images(folder, dataset))
+        dataset, pngs = replace(dataset, source=source), kept if masks is None else pngs
     written = replace(dataset, path=path, truth_mesh=None if mesh is None else path / _MESH)
     header = written.header()
     pixels = dataset.power if dataset.signal is None else dataset.signal

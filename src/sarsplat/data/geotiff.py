@@ -17,7 +17,7 @@ from jaxtyping import Float64, Shaped
 
 from sarsplat.data.files import open_file, write_bytes
 from sarsplat.errors import SarsplatError, SarsplatWarning, shown
-from sarsplat.extras import install_command
+from sarsplat.extras import needed
 from sarsplat.geometry import Place
 from sarsplat.geometry.place import HeightAbove, geodetic_of_ecef
 
@@ -137,14 +137,9 @@ class Georeference:
 
 
 def _rasterio(path: Path) -> Any:
-    """Import rasterio and pyproj, or raise with the command that installs them."""
-    try:
+    with needed("gis", str(path)):
         import pyproj  # noqa: F401 (callers need it)
         import rasterio
-    except ImportError as error:
-        raise SarsplatError(
-            f"{path} needs rasterio and pyproj, which are not installed; {install_command('gis')}"
-        ) from error
     return rasterio
 
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -12,11 +10,11 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from jaxtyping import Complex, Complex64, Float, Float32, Real, Shaped
 
-from sarsplat.arguments import checks_arguments, expect
+from sarsplat.arguments import checks_arguments, expect_fields
 from sarsplat.colours import POWER, colormap
 from sarsplat.data.files import write_bytes
 from sarsplat.errors import SarsplatError
-from sarsplat.extras import install_command
+from sarsplat.extras import needed
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.radiometry import DYNAMIC_RANGE_DB, amplitude, to_db, white_level
 
@@ -63,9 +61,7 @@ class SarImage:
     def __post_init__(self) -> None:
         if hasattr(self.power, "detach"):  # a torch.Tensor: files of images are read without torch
             object.__setattr__(self, "power", self.power.detach().cpu().numpy())
-        expect(np.ndarray, power=self.power)
-        expect(View, view=self.view)
-        expect(ImageGrid, grid=self.grid)
+        expect_fields(self)
         expected = (self.grid.rows, self.grid.columns)
         if self.power.shape != expected or self.power.dtype.kind not in "fiu":
             raise SarsplatError(
@@ -137,7 +133,7 @@ class SarImage:
         SarsplatError
             If matplotlib is not installed.
         """
-        with _matplotlib_needed():
+        with needed("report", "a picture"):
             from matplotlib import pyplot
         _draw(self.power, self.view, self.grid, pyplot.figure(), dynamic_range_db)
         pyplot.show()
@@ -209,7 +205,7 @@ def check_signal(
 
 def picture_png(power: Power, view: View, grid: ImageGrid, dynamic_range_db: float) -> bytes:
     """Draw β⁰ of one image as a PNG file; parameters and errors as for `SarImage` and its `save`."""
-    with _matplotlib_needed():
+    with needed("report", "a picture"):
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
     figure, buffer = Figure(), io.BytesIO()
@@ -217,14 +213,6 @@ def picture_png(power: Power, view: View, grid: ImageGrid, dynamic_range_db: flo
     _draw(power, view, grid, figure, dynamic_range_db)
     figure.savefig(buffer, format="png", dpi=_DPI)
     return buffer.getvalue()
-
-
-@contextmanager
-def _matplotlib_needed() -> Iterator[None]:
-    try:
-        yield
-    except ImportError as error:
-        raise SarsplatError(f"pictures need matplotlib; {install_command('report')}") from error
 
 
 def _draw(power: Power, view: View, grid: ImageGrid, figure: Figure, dynamic_range_db: float) -> None:

@@ -9,7 +9,6 @@ import io
 import re
 import warnings
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +21,7 @@ from sarsplat.data.header import SPLIT
 from sarsplat.data.orientation import oriented
 from sarsplat.data.tiff import read_tiff
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
-from sarsplat.extras import install_command
+from sarsplat.extras import needed
 from sarsplat.geometry import SHADOW
 
 if TYPE_CHECKING:
@@ -148,10 +147,8 @@ def encode_masks(masks: Masks, dataset: Dataset) -> dict[PurePosixPath, bytes]:
 
 def pillow() -> ModuleType:
     """Return Pillow's `Image`, or raise with the command that installs it."""
-    try:
+    with needed("mstar", "a mask"):
         from PIL import Image
-    except ImportError as error:
-        raise SarsplatError(f"masks need Pillow; {install_command('mstar')}") from error
     return Image
 
 
@@ -177,18 +174,6 @@ def mask_names(dataset: Dataset, splits: Collection[str]) -> dict[int, PurePosix
     return names
 
 
-@dataclass(frozen=True)
-class Sidecars:
-    """Sidecar files of a dataset."""
-
-    source: dict[str, Any]
-    """The dataset's `source` with a list of the chips without azimuth."""
-    pictures: dict[str, Float32[np.ndarray, "rows columns"]]
-    """Linear power of these chips, by their paths in the dataset."""
-    masks: dict[PurePosixPath, bytes]
-    """PNGs, by their paths in the folder of masks."""
-
-
 def unplaced_in(source: dict[str, Any], where: object) -> list[dict[str, Any]]:
     """Return the list of chips without azimuth in a dataset's source; raise if an entry is invalid."""
     listed: list[Any] = source.get(UNPLACED, [])
@@ -205,16 +190,19 @@ def read_unplaced(dataset: Dataset, folder: Path, file: str) -> Float32[np.ndarr
     return power
 
 
-def sidecars_of(dataset: Dataset, unchanged: Callable[[Path], bool]) -> Sidecars:
-    """Read the sidecar files of a dataset's sets from its folder.
+def sidecars_of(
+    dataset: Dataset, unchanged: Callable[[Path], bool]
+) -> tuple[dict[str, Any], dict[str, Float32[np.ndarray, "rows columns"]], dict[PurePosixPath, bytes]]:
+    """Read the sidecar files of a dataset's sets from its folder: its `source` with a list of chips, chips, masks.
 
-    They are left out, with a warning, unless `unchanged(folder)`: images that differ from the folder's may have another
-    scale or position. Chips without azimuth are also left out if there is no folder.
+    They are power by path in the dataset, and PNGs by path in the folder of masks. They are left out, with a warning,
+    unless `unchanged(folder)`: images that differ from the folder's may have another scale or position. Chips without
+    azimuth are also left out if there is no folder.
     """
     listed, folder = unplaced_in(dataset.source, dataset), dataset.path
     names = mask_names(dataset, set(dataset.splits())) if folder is not None and (folder / MASKS).is_dir() else {}
     if not listed and not names:
-        return Sidecars(dataset.source, {}, {})
+        return dataset.source, {}, {}
     source = {name: value for name, value in dataset.source.items() if name != UNPLACED}
     if folder is None or not unchanged(folder):
         lost = [counted(len(listed), "chip") + " without azimuth"] * bool(listed) + ["masks"] * bool(names)
@@ -224,7 +212,7 @@ def sidecars_of(dataset: Dataset, unchanged: Callable[[Path], bool]) -> Sidecars
             SarsplatWarning,
             stacklevel=4,
         )
-        return Sidecars(source, {}, {})
+        return source, {}, {}
     chips = [chip for chip in listed if chip["set"] in dataset.splits()]
     masks = {}
     for name in names.values():
@@ -233,4 +221,4 @@ def sidecars_of(dataset: Dataset, unchanged: Callable[[Path], bool]) -> Sidecars
                 with open_file(path) as file:
                     masks[name] = file.read()
     pictures = {chip["file"]: read_unplaced(dataset, folder, chip["file"]) for chip in chips}
-    return Sidecars(source | ({UNPLACED: chips} if chips else {}), pictures, masks)
+    return source | ({UNPLACED: chips} if chips else {}), pictures, masks

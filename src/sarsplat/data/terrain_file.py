@@ -77,26 +77,20 @@ def read_terrain(path: str | Path) -> Terrain:
         off.
     """
     path = Path(path)
-    heights, pitch, place = _read_own(path) or _read_foreign(path)
+    if (own := _read_own(path)) is not None:
+        heights, pitch, place = *own, None
+    else:
+        found = read_heights(path)
+        (x, y), (on_x, on_y) = found.raster.pitch_m, found.metres
+        heights, pitch, place = _known_part(path, found.raster.values), (x * on_x, y * on_y), found.place
     try:
         return Terrain(np.ascontiguousarray(heights[::-1]), pitch, place)
     except SarsplatError as error:
         raise SarsplatError(f"{path}: {error}") from error
 
 
-_Stored = tuple[Float64[np.ndarray, "rows columns"], tuple[float, float], Place | None]
-"""Heights with row 0 in the north, pitch and place."""
-
-
-def _read_foreign(path: Path) -> _Stored:
-    """Read heights and pitch of any raster."""
-    found = read_heights(path)
-    (x, y), (on_x, on_y) = found.raster.pitch_m, found.metres
-    return _known_part(path, found.raster.values), (x * on_x, y * on_y), found.place
-
-
-def _read_own(path: Path) -> _Stored | None:
-    """Read heights and pitch by `write_terrain`; None if another program wrote or changed the file, or if damaged."""
+def _read_own(path: Path) -> tuple[Float64[np.ndarray, "rows columns"], tuple[float, float]] | None:
+    """Read heights, row 0 north, and pitch by `write_terrain`; None if damaged or written by another program."""
     with open_file(path) as file:
         data = file.read()
     try:
@@ -107,7 +101,7 @@ def _read_own(path: Path) -> _Stored | None:
             if not own or page.dtype != np.float64 or page.ndim != 2 or not uncompressed:
                 return None
             dx, dy, _ = map(float, page.tags[_PIXEL_SCALE].value)
-            return page.asarray(), (dx, dy), None
+            return page.asarray(), (dx, dy)
     except Exception:  # a garbled TIFF can fail anywhere inside the parser, with any exception
         return None
 

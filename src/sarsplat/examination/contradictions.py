@@ -110,7 +110,8 @@ def _upright(dataset: Dataset, examined: Examination) -> Dataset:
             "not examined: shadows fall to the sides of the images, for the azimuth axes are tilted too much"
         )
         return dataset
-    ground = dataset.ground or bool(np.median(_edges(dataset.power)) > _MAX_EMPTY * bright_level(dataset.power))
+    edges = np.concatenate([dataset.power[:, [0, -1]].ravel(), dataset.power[:, :, [0, -1]].ravel()])
+    ground = dataset.ground or bool(np.median(edges) > _MAX_EMPTY * bright_level(dataset.power))
     centred = dataset.calibration == "absolute"  # simulated or georeferenced, not cut out around a target
     look = partial(orientation, dataset.power, dataset.views, dataset.grid, centred=centred)
     estimate = look(ground=ground)
@@ -158,11 +159,6 @@ def _shaded_below(view: View, grid: ImageGrid) -> bool:
     return bool(abs(across) < away)
 
 
-def _edges(power: np.ndarray) -> np.ndarray:
-    """Return the outermost pixels of all images."""
-    return np.concatenate([power[:, [0, -1]].ravel(), power[:, :, [0, -1]].ravel()])
-
-
 def _orientation(dataset: Dataset, estimate: Orientation, near: Side, layout: Layout | None, geocoded: bool) -> str:
     """Describe a wrong orientation and its remedy."""
     opposite = estimate.opposite is True
@@ -195,10 +191,8 @@ def _remedy(near: Side, opposite: bool, layout: Layout | None, tilted: bool) -> 
     if not opposite and not layout.mirrored:
         return f"import with {mended}"
     first, other = mended, mended.twin
-    if (
-        near != "top" and opposite and mended.counter_clockwise
-    ):  # a transposition is likelier than a turn and another sense
-        first, other = other, first
+    if near != "top" and opposite and mended.counter_clockwise:
+        first, other = other, first  # a transposition is likelier than a turn and another sense
     sense = "counter-clockwise" if other.counter_clockwise else "clockwise"
     return f"import with {first}, or with {other} if the table's azimuths do run {sense}: images do not tell which"
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64, Real
@@ -95,9 +95,11 @@ def match(
     pitch = axis[1] - axis[0]
     coarse = [max(1, round(pitch / spacing)) for spacing in reversed(grid.spacing_m)]  # every pixel counts
     used = sorted({k for pair in pairs for k in pair})
-    ground = {
-        k: _sampled(uniform_filter(bright[k], coarse), grid, *views[k].look.to_image(across, along)) for k in used
-    }
+    ground = {}
+    for k in used:
+        azimuth_m, range_m = views[k].look.to_image(across, along)
+        place = (range_m - grid.range_m[0]) / grid.spacing_m[1], (azimuth_m - grid.azimuth_m[0]) / grid.spacing_m[0]
+        ground[k] = map_coordinates(uniform_filter(bright[k], coarse), place, order=1)  # 0 beyond the edges
     padded = (next_fast_len(2 * _SAMPLES),) * 2
     first = {k: rfft2(_normalised(ground[k], inside), padded).conj() for k, _ in pairs}
     correlations, turns = [], []
@@ -105,30 +107,10 @@ def match(
         angle = math.radians(sense * (views[i].azimuth_deg - views[j].azimuth_deg))
         turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
         x, y = np.tensordot(turn, np.stack([across, along]), 1)
-        other = _at(ground[j], (x + half) / pitch, (y + half) / pitch)
+        other = map_coordinates(ground[j], [(y + half) / pitch, (x + half) / pitch], order=1)
         correlations.append(irfft2(first[i] * rfft2(_normalised(other, inside), padded), padded))
         turns.append(turn)
     return Matches(np.array(correlations).reshape(-1, *padded), np.array(turns).reshape(-1, 2, 2), half, float(pitch))
-
-
-def as_grazing_and_incidence(
-    bright: Float64[np.ndarray, "v rows columns"],
-    views: Sequence[View],
-    grid: ImageGrid,
-    pairs: Sequence[tuple[int, int]],
-    sense: int,
-) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-    """Return each pair's highest correlation with grazing angles as given, and as incidence angles.
-
-    Both compare the same number of pixels: more ground around a target lowers the correlation.
-    """
-    interpretations = views, [replace(view, grazing_deg=view.incidence_deg) for view in views]
-    scales = [float(np.mean([view.look.slant_range(1.0) for view in views])) for views in interpretations]
-    given, swapped = (
-        match(bright, views, grid, pairs, sense=sense, within=math.sqrt(min(scales) / scale)).best()
-        for views, scale in zip(interpretations, scales, strict=True)
-    )
-    return given, swapped
 
 
 def stretch_bias(
@@ -188,25 +170,6 @@ def _angles(views: Sequence[View]) -> tuple[Float64[np.ndarray, " v"], Float64[n
 def _evenly(pairs: list[tuple[int, int]]) -> list[tuple[int, int]]:
     count = min(len(pairs), _MAX_PAIRS)
     return [pairs[k * len(pairs) // count] for k in range(count)]
-
-
-def _at(
-    image: Real[np.ndarray, "rows columns"],
-    column: Float64[np.ndarray, "samples samples"],
-    row: Float64[np.ndarray, "samples samples"],
-) -> Real[np.ndarray, "samples samples"]:
-    return map_coordinates(image, [row, column], order=1, mode="constant", cval=0.0)
-
-
-def _sampled(
-    image: Real[np.ndarray, "rows columns"],
-    grid: ImageGrid,
-    azimuth_m: Float64[np.ndarray, "samples samples"],
-    range_m: Float64[np.ndarray, "samples samples"],
-) -> Real[np.ndarray, "samples samples"]:
-    """Interpolate an image at azimuths and slant ranges, m; 0 beyond its edges."""
-    column = (azimuth_m - grid.azimuth_m[0]) / grid.spacing_m[0]
-    return _at(image, column, (range_m - grid.range_m[0]) / grid.spacing_m[1])
 
 
 def _normalised(image: Real[np.ndarray, "samples samples"], inside: np.ndarray) -> Real[np.ndarray, "samples samples"]:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float64, Real
@@ -22,7 +23,6 @@ from scipy.ndimage import map_coordinates
 from sarsplat.data.image import in_blocks
 from sarsplat.data.orientation import SIDES, oriented
 from sarsplat.examination.neighbouring_views import (
-    as_grazing_and_incidence,
     common_half_side_m,
     match,
     neighbours,
@@ -120,7 +120,14 @@ def orientation(
     near = _near(shadow, edge, layover, centred)
     axis = SIDES.index(near) % 2 if near else int(best[1][better[1]].sum() > best[0][better[0]].sum())
     all_pairs = [*pairs, *(steeper_neighbours(views) if pairs else [])]
-    given, swapped = as_grazing_and_incidence(bright[axis], views, frames[axis][1], all_pairs, (1, -1)[better[axis]])
+    # with as many pixels by grazing as by incidence angles: more ground around a target lowers the correlation
+    readings = views, [replace(view, grazing_deg=view.incidence_deg) for view in views]
+    scales = [float(np.mean([view.look.slant_range(1.0) for view in seen])) for seen in readings]
+    compared = partial(match, bright[axis], grid=frames[axis][1], pairs=all_pairs, sense=(1, -1)[better[axis]])
+    given, swapped = (
+        compared(seen, within=math.sqrt(min(scales) / scale)).best()
+        for seen, scale in zip(readings, scales, strict=True)
+    )
     return Orientation(
         near,
         shadow,

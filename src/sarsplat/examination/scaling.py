@@ -85,11 +85,16 @@ def examine_scaling(dataset: Dataset, examined: Examination, speckled: bool, cut
 def examine_cut_off(dataset: Dataset, examined: Examination) -> float:
     """Add a contradiction if many pixels are clipped; return the largest clipped share of an image."""
     shares = np.array([share_at_top(image) for image in _parts(dataset)])
+    cut, worst, wrong = shares >= _MIN_CLIPPED, int(shares.argmax()), []
+    if cut.any():
+        wrong.append(
+            f"{shares[worst]:.1%} of the pixels of {dataset.entries[worst].name} hold its largest value, and at least "
+            f"{_MIN_CLIPPED:.0%} in {cut.sum()} of {counted(len(dataset), 'image')}: brighter pixels were clipped, an "
+            "area as large as a target; save the images again with a smaller factor, or in more bits"
+        )
     clipped = f"{shares.mean():.2%} of the pixels, which hold the largest value of their image, were cut off"
-    examined.conclude(
-        "largest values", _cut_off(dataset, shares), clipped if shares.mean() >= MIN_CLIPPED_REPORTED else "not cut off"
-    )
-    return float(shares.max())
+    examined.conclude("largest values", wrong, clipped if shares.mean() >= MIN_CLIPPED_REPORTED else "not cut off")
+    return float(shares[worst])
 
 
 def _parts(dataset: Dataset) -> Real[np.ndarray, "v rows columns"]:
@@ -108,18 +113,6 @@ def share_at_top(image: Real[np.ndarray, "rows columns"]) -> float:
         return 0.0
     below = np.unique(image[image < largest], return_counts=True)[1][-_MAX_UNCLIPPED:]
     return count / image.size if count > 2 * below.mean() else 0.0
-
-
-def _cut_off(dataset: Dataset, shares: Float64[np.ndarray, " v"]) -> list[str]:
-    cut = shares >= _MIN_CLIPPED
-    if not cut.any():
-        return []
-    worst = int(shares.argmax())
-    return [
-        f"{shares[worst]:.1%} of the pixels of {dataset.entries[worst].name} hold its largest value, and at least "
-        f"{_MIN_CLIPPED:.0%} in {cut.sum()} of {counted(len(dataset), 'image')}: brighter pixels were clipped, an area "
-        "as large as a target; save the images again with a smaller factor, or in more bits"
-    ]
 
 
 def _stretched(dataset: Dataset, speckled: bool) -> list[str]:

@@ -48,7 +48,9 @@ def examine_single_values(dataset: Dataset, examined: Examination) -> bool:
     if 2 * (ranges_db(dataset, UNIT_RANK) > MAX_RANGE_DB).sum() > len(dataset):
         return False
     bright = bright_level(dataset.power)
-    limit_db = _point_db(dataset.grid) + _speckle_limit_db(dataset.power.size)
+    # speckle of one look exceeds this ratio to all eight neighbours in one of the pixels with `CHANCE`
+    speckle_db = 10 / 8 * math.log10(math.factorial(8) * dataset.power.size / CHANCE)
+    limit_db = _point_db(dataset.grid) + speckle_db
     peaks = [peak for k, image in enumerate(dataset.power) for peak in _peaks(image, k, bright, limit_db)]
     wrong = _hot_pixels(peaks, dataset)
     wrong += _wide_ranges(dataset, {peak.index for peak in peaks})
@@ -151,11 +153,6 @@ def _fall_db(grid: ImageGrid, axis: int) -> float:
         return fall
     unweighted = float(np.sinc(min(_SINC_WIDTH * offset[1], 1.0)))
     return max(fall, -20 * math.log10(max(unweighted, math.sqrt(CHANCE) / 2)))  # off the middle along both axes
-
-
-def _speckle_limit_db(pixels: int) -> float:
-    """Return the ratio to all eight neighbours that speckle of one look exceeds in `pixels` with `CHANCE`, dB."""
-    return 10 / 8 * math.log10(math.factorial(8) * pixels / CHANCE)
 
 
 def _lines(dataset: Dataset, bright: float) -> list[str]:

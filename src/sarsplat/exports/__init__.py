@@ -52,7 +52,7 @@ def format_of(path: Path, content: Content | None = None) -> tuple[Format, Conte
         if content is None and (meant := next((holds for holds in named.writers if holds in stem), None)):
             raise SarsplatError(
                 f"{path} has {meant} in its name, but not at the end, so its content is ambiguous; give it, such as "
-                f"with --format {meant}"
+                f"with `content={meant!r}`"
             )
     return named, next(iter(named.writers)) if content is None else content
 

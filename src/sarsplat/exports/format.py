@@ -96,7 +96,7 @@ def content_of(run: Run, content: Content) -> tuple[Any, str]:
             if run.gaussians is None:
                 raise SarsplatError(
                     f"{name_of(run)} was made by {run.method}, which learns no Gaussians; export its points or its "
-                    "mesh, such as with --format points to a .ply file"
+                    "mesh, such as with `content='points'` to a .ply file"
                 )
             data, count, noun, frame = run.gaussians, len(run.gaussians), "Gaussian", ""
             longer = "reconstruct it again, or look at its report"

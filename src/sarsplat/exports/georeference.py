@@ -18,7 +18,7 @@ from sarsplat.data.files import open_file, plain_os_errors, read_versioned_json
 from sarsplat.data.geotiff import LEVELS, far_outside
 from sarsplat.data.header import PlaceHeader
 from sarsplat.errors import SarsplatError, SarsplatWarning, shown
-from sarsplat.extras import install_command
+from sarsplat.extras import needed
 from sarsplat.geometry import Place
 
 Coordinates = Literal["scene", "map", "degrees"]
@@ -86,12 +86,8 @@ class MapSystem:
         SarsplatWarning
             If the place is outside the system's area of use.
         """
-        try:
+        with needed("gis", "a coordinate system"):
             import pyproj
-        except ImportError as error:
-            raise SarsplatError(
-                f"coordinates of maps need pyproj, which is not installed; {install_command('gis')}"
-            ) from error
         name, another = usual_system(place) if crs is None else crs, f"give another, such as {usual_system(place)}"
         try:
             found = pyproj.CRS.from_user_input(name)

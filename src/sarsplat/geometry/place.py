@@ -138,12 +138,6 @@ class Place:
         bearing = math.degrees(math.atan2(-west, north))
         return replace(place, x_towards_deg=bearing, height_above=self.height_above)
 
-    def enu(self, points: RealArray[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:
-        """Convert points of the scene to east, north and up from its origin, m."""
-        x, y, z = np.moveaxis(places_of(points, "points of the scene"), -1, 0)
-        sine, cosine = math.sin(math.radians(self.x_towards_deg)), math.cos(math.radians(self.x_towards_deg))
-        return np.stack([sine * x - cosine * y, cosine * x + sine * y, z], axis=-1)
-
     @checks_arguments
     def bearing_deg(self, azimuth_deg: float) -> float:
         """Convert a view's azimuth to a compass bearing, 0 to 360°."""

@@ -1,4 +1,4 @@
-from .about import AboutImages, AboutPictures, AboutScene, AboutTable
+from .about import AboutImages, AboutPictures, AboutScene
 from .folder import import_folder
 from .images import dataset_of, summary, write_imported
 from .measured_image import MeasuredImage
@@ -14,7 +14,6 @@ __all__ = [
     "AboutImages",
     "AboutPictures",
     "AboutScene",
-    "AboutTable",
     "MeasuredImage",
     "PhoenixChip",
     "dataset_of",

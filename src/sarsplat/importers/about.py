@@ -44,8 +44,8 @@ class AboutImages(AboutScene, total=False):
     ground: bool
 
 
-class AboutTable(AboutImages, total=False):
-    """User's knowledge of pictures as a whole, and of their table.
+class AboutPictures(AboutImages, total=False):
+    """User's knowledge of pictures and their table; the table's cells precede lengths, angles and orientation.
 
     Attributes
     ----------
@@ -68,22 +68,6 @@ class AboutTable(AboutImages, total=False):
         are training views.
     calibration : {"absolute", "relative"}
         Whether the power is β⁰ itself, or only up to a factor (the default).
-    """
-
-    table: str | Path | None
-    names: str | None
-    columns: Mapping[str, str] | None
-    target_class: str | None
-    target: str | None
-    train_views: int | None
-    calibration: Calibration
-
-
-class AboutPictures(AboutTable, total=False):
-    """User's knowledge of pictures and their table; the table's cells precede lengths, angles and orientation.
-
-    Attributes
-    ----------
     spacing_m : (float, float) or None
         Pixel spacing in the slant plane (azimuth, range), m; of GeoTIFFs it is that of their tags unless given. Of
         geocoded pictures, that of columns and rows on the map.
@@ -110,6 +94,13 @@ class AboutPictures(AboutTable, total=False):
         Standard deviation of the azimuths, degrees; 0 unless given.
     """
 
+    table: str | Path | None
+    names: str | None
+    columns: Mapping[str, str] | None
+    target_class: str | None
+    target: str | None
+    train_views: int | None
+    calibration: Calibration
     spacing_m: Pair | None
     resolution_m: Pair | None
     ground_range: bool

@@ -186,11 +186,13 @@ def require(table: CsvTable, columns: Columns, grazing: bool, spacing: bool, loo
         also.append("`spacing_m`, one spacing for all")
     if lacking:
         named = ", ".join(f"'{meaning}': 'NAME'" for meaning in lacking)
+        present = [*filter(None, table.columns)]
+        listed = ", ".join(present[:20])[:400] + (", …" if len(present) > 20 else "")
         incidence = " (incidence, not grazing, for a column of incidence angles)" * ("grazing" in lacking)
         raise SarsplatError(
             f"{table.path} has no column that looks like the {' or the '.join(lacking)}; name "
             f"{'it' if len(lacking) == 1 else 'them'} with `columns={{{named}}}`{incidence}"
-            f"{''.join(f', or give {one}' for one in also)} (there are {_has(table)})"
+            f"{''.join(f', or give {one}' for one in also)} (there are {listed})"
         )
 
 
@@ -257,8 +259,3 @@ def _plain(name: str) -> str:
 def _require_known(problem: str, name: str, names: Iterable[str]) -> None:
     if name not in names:
         raise SarsplatError(f"{problem} {shown(name)}; {advised(name, [*filter(None, names)][:40])}")
-
-
-def _has(table: CsvTable) -> str:
-    named = [*filter(None, table.columns)]
-    return ", ".join(named[:20])[:400] + (", …" if len(named) > 20 else "")

@@ -71,7 +71,9 @@ def _without_empty_corners(images: Sequence[MeasuredImage]) -> tuple[list[Measur
             )
         if share >= _LEAST_SHARE:
             changed.append(image.name)
-            image = _cut(image, *_filled_rectangle(~empty))
+            rows, columns = _filled_rectangle(~empty)
+            center = float(image.grid.azimuth_m[columns].mean()), float(image.grid.range_m[rows].mean())
+            image = replace(image, pixels=image.pixels[..., rows, columns], center_m=center)
         cut.append(image)
     if not changed:
         return cut, ""
@@ -119,12 +121,6 @@ def _filled_rectangle(filled: Bool[np.ndarray, "rows columns"]) -> tuple[slice, 
     return slice(top, bottom), slice(left, right)
 
 
-def _cut(image: MeasuredImage, rows: slice, columns: slice) -> MeasuredImage:
-    grid = image.grid
-    center = float(grid.azimuth_m[columns].mean()), float(grid.range_m[rows].mean())
-    return replace(image, pixels=image.pixels[..., rows, columns], center_m=center)
-
-
 def common_part(
     images: Sequence[MeasuredImage],
 ) -> tuple[Float64[np.ndarray, " 2"], Float64[np.ndarray, " 2"], list[str]]:
@@ -132,14 +128,15 @@ def common_part(
 
     Raises if it is empty, or if without a few images it would be at least twice as large.
     """
-    ends = np.array([_ends(image.grid) for image in images])
-    common = _common(ends)
+    sides = [(image.grid.azimuth_m, image.grid.range_m) for image in images]
+    ends = np.array([(-azimuth[0], -distance[0], azimuth[-1], distance[-1]) for azimuth, distance in sides])
+    common = ends.min(axis=0)
     indices = np.arange(len(images))
     most = max(1, int(_FEW * len(images))) if len(images) >= _FEWEST_IMAGES else 0
     for _ in range(most):
         rest = [indices[indices != out] for out in _at_its_ends(ends, indices)]
-        indices = max(rest, key=lambda subset: _area(_common(ends[subset])))
-        if (1 - _LOSS) * (larger := _area(_common(ends[indices]))) >= max(_area(common), 1e-30):
+        indices = max(rest, key=lambda subset: _area(ends[subset].min(axis=0)))
+        if (1 - _LOSS) * (larger := _area(ends[indices].min(axis=0))) >= max(_area(common), 1e-30):
             without = np.delete(np.arange(len(images)), indices)
             names = ", ".join(f"{images[k].name} ({_size(images[k].grid)})" for k in without[:3])
             raise SarsplatError(
@@ -165,17 +162,6 @@ def _refuse_other_spacing(images: Sequence[MeasuredImage]) -> None:
             f"{images[off].name} has pixels of {own} (azimuth × range), and others of {others}; correct its spacing, "
             "or leave it out"
         )
-
-
-def _ends(grid: ImageGrid) -> tuple[float, float, float, float]:
-    """Return how far an image reaches, m, towards negative and positive (azimuth, range) of each."""
-    azimuth, slant_range = grid.azimuth_m, grid.range_m
-    return -azimuth[0], -slant_range[0], azimuth[-1], slant_range[-1]
-
-
-def _common(ends: Float64[np.ndarray, "n 4"]) -> Float64[np.ndarray, " 4"]:
-    """Return the ends of the part that all images show."""
-    return ends.min(axis=0)
 
 
 def _at_its_ends(ends: Float64[np.ndarray, "n 4"], indices: Int64[np.ndarray, " k"]) -> list[int]:

@@ -10,11 +10,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Int64
 
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, counted, shown
-from sarsplat.importers.files import raise_damaged, require, whole_in
+from sarsplat.extras import needed
+from sarsplat.geometry import Place
+from sarsplat.importers.files import raise_damaged, whole_in
 from sarsplat.importers.sarkit_xml import LONGEST_XML, Metadata, any_version, plain_xml, printable, sarkit_errors
 
 if TYPE_CHECKING:
@@ -69,12 +71,15 @@ class Cphd(Metadata):
             return XmlHelper(self.tree).load(any_version(name))
 
     @property
-    def reference_ecef(self) -> Float64[np.ndarray, " 3"]:
-        """Reference point of the scene, ECEF, m."""
+    def place(self) -> Place:
+        """Reference point of the scene."""
         place = self.load("SceneCoordinates/IARP/ECF")
         if place is None or not np.all(np.abs(place) <= _LARGEST):
             raise_damaged(self.path, "has no valid reference point (SceneCoordinates/IARP)")
-        return np.asarray(place, np.float64)
+        try:
+            return Place.of_ecef(np.asarray(place, np.float64))
+        except SarsplatError as error:
+            raise SarsplatError(f"{self.path}: the reference point of the scene: {error}") from error
 
     def channel(self, name: str | None) -> Channel:
         """Return the channel of this name, or the only one."""
@@ -122,12 +127,11 @@ def open_cphd(path: Path) -> Cphd:
 
     Raises if it is no monostatic CPHD of a supported version, truncated, garbled, or compressed.
     """
-    require("sarkit", "CPHD files need", "phase-history")
+    with needed("phase-history", "a CPHD"):
+        from sarkit.cphd import VERSION_INFO
     with open_file(path) as file:
         tree, blocks = _tree(path, file)
     name = str(tree.getroot().tag)
-    from sarkit.cphd import VERSION_INFO
-
     namespace, _, kind = name.removeprefix("{").partition("}")
     if kind != "CPHD":
         raise_damaged(path, f"holds {shown(name)}, not the metadata of a CPHD")

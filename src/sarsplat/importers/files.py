@@ -10,7 +10,6 @@ import unicodedata
 import warnings
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -20,7 +19,7 @@ from jaxtyping import Shaped
 from sarsplat.data.csv_table import CsvTable, Row, relative_path
 from sarsplat.data.files import open_file, plain_reason
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
-from sarsplat.extras import install_command
+from sarsplat.extras import needed
 
 if TYPE_CHECKING:
     import h5py
@@ -58,21 +57,11 @@ def check_pixel(path: Path, pixel: tuple[float, float], shape: tuple[int, int]) 
         )
 
 
-def require(package: str, what: str, extra: str) -> None:
-    """Raise if a package is missing, naming the extra that installs it; `what` begins the error: "SICD files need"."""
-    try:
-        import_module(package)
-    except ImportError as error:
-        raise SarsplatError(
-            f"{what} {package}, which cannot be imported ({error}); {install_command(extra)}"
-        ) from error
-
-
 @contextmanager
 def opened_hdf5(path: Path) -> Iterator[h5py.File]:
     """Open a file so that any exception inside h5py, as of a garbled file, becomes one sentence."""
-    import h5py
-
+    with needed("rslc", "an HDF5 file"):
+        import h5py
     with open_file(path):  # a regular file that can be read
         try:
             with h5py.File(path, "r", locking=False) as file:

@@ -90,7 +90,8 @@ def import_folder(
     """
     folder = Path(folder)
     listed = read_picture_table(folder, about, compass=geocoded is not None)
-    if listed.has_stacks:
+    seen = [picture.view for picture in listed.pictures if picture.view is not None]
+    if listed.columns.keys() & {"baseline", "polarisation"} and len(set(seen)) < len(seen):
         raise SarsplatError(
             f"{listed.path} has several rows for one view, channels of a stack; import them with `sarsplat import "
             "stack`, or give each view another name"

@@ -79,7 +79,7 @@ def read_phase_history(path: Path, channel: str | None = None) -> PhaseHistory:
     known = format_of(path)
     with open_file(path) as file:
         start = file.read(_HEAD)
-    if (what := what_else(start)) is not None:
+    if what := next((what for magic, what in _RELATIVES.items() if start.lstrip().startswith(magic)), None):
         raise SarsplatError(f"{path} is {what}")
     if known is None:
         contained = (one for one in FORMATS.loaded().values() if one.container and start.startswith(one.container))
@@ -92,8 +92,3 @@ def read_phase_history(path: Path, channel: str | None = None) -> PhaseHistory:
     if channel is not None:
         raise SarsplatError(f"{path} has no channels ({known.what}); leave out `channel`")
     return known.read(path)
-
-
-def what_else(start: bytes) -> str | None:
-    """Describe other radar data by their first bytes, with a remedy; None if unknown."""
-    return next((what for magic, what in _RELATIVES.items() if start.lstrip().startswith(magic)), None)

@@ -17,10 +17,9 @@ from jaxtyping import Bool, Complex64, Float64, Int64
 
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError
-from sarsplat.geometry import Place
 from sarsplat.geometry.responses import UNIFORM
 from sarsplat.importers.cphd_file import MAGIC, Channel, Cphd, open_cphd
-from sarsplat.importers.files import raise_damaged
+from sarsplat.importers.files import complex_of, raise_damaged
 from sarsplat.importers.histories import PhaseHistoryFormat
 from sarsplat.importers.phase_apertures import WIDEST_DEG, whole_flight
 from sarsplat.importers.phase_history import SPEED_OF_LIGHT, PhaseHistory, Recorded
@@ -43,7 +42,7 @@ def read_cphd(path: str | Path, channel: str | None = None) -> PhaseHistory:
     cphd = open_cphd(Path(path))
     chosen = cphd.channel(channel)
     pulses = cphd.pulses(chosen)
-    place = _place(cphd)
+    place = cphd.place
     sent, received, point = (place.from_ecef(pulses[name]) for name in ("TxPos", "RcvPos", "SRPPos"))
     _require_monostatic(cphd, sent - point, received - point)
     reference = (np.linalg.norm(sent - point, axis=1) + np.linalg.norm(received - point, axis=1)) / 2
@@ -99,30 +98,16 @@ class _Signal(Recorded):
             stored = [
                 reader.read_signal(self.channel, start_vector=int(run[0]), stop_vector=int(run[-1]) + 1) for run in runs
             ]
-            samples = _complex(np.concatenate(stored))
+            samples = complex_of(np.concatenate(stored)).astype(np.complex64)
         with np.errstate(over="ignore", invalid="ignore"):  # what becomes infinite is refused
             if self.conjugate:
                 np.conj(samples, out=samples)
-            if self.start_s is not None:
-                samples = self._spectrum(samples)
+            if self.start_s is not None:  # samples in time: to frequency, the centre of the band in the middle
+                places = (np.arange(samples.shape[1]) - samples.shape[1] // 2) / samples.shape[1]
+                turned = np.exp(-2j * math.pi * self.start_s[:, None] * places)
+                samples = np.fft.fftshift(np.fft.fft(samples, axis=1), axes=1) * turned
             samples = samples[:, self.first : self.first + self.count] * self.scale[:, None]
             return np.ascontiguousarray(samples.T.astype(np.complex64))
-
-    def _spectrum(self, samples: Complex64[np.ndarray, "pulses times"]) -> np.ndarray:
-        """Transform samples in time to frequency, the centre of the band in the middle."""
-        assert self.start_s is not None
-        count = samples.shape[1]
-        places = (np.arange(count) - count // 2) / count
-        turned = np.exp(-2j * math.pi * self.start_s[:, None] * places)
-        return np.fft.fftshift(np.fft.fft(samples, axis=1), axes=1) * turned
-
-
-def _complex(stored: np.ndarray) -> Complex64[np.ndarray, "pulses samples"]:
-    if stored.dtype.names is None:
-        return stored.astype(np.complex64)
-    samples = np.empty(stored.shape, np.complex64)
-    samples.real, samples.imag = stored["real"], stored["imag"]
-    return samples
 
 
 def _of_frequencies(cphd: Cphd, channel: Channel, pulses: dict[str, Any]) -> tuple[np.ndarray, np.ndarray, _Signal]:
@@ -196,13 +181,6 @@ def _require_monostatic(
         )
 
 
-def _place(cphd: Cphd) -> Place:
-    try:
-        return Place.of_ecef(cphd.reference_ecef)
-    except SarsplatError as error:
-        raise SarsplatError(f"{cphd.path}: the reference point of the scene: {error}") from error
-
-
 def _shown(
     cphd: Cphd, channel: Channel, pulses: dict[str, Any], step_hz: Float64[np.ndarray, " pulses"]
 ) -> Float64[np.ndarray, "pulses 2"]:
@@ -269,7 +247,7 @@ class _Dwell:
             raise_damaged(self.cphd.path, "has no valid ImageArea")
         low, high = np.sort(corners, axis=0)
         if min(x.min() - low[0], y.min() - low[1], high[0] - x.max(), high[1] - y.max()) < 0:
-            place = _place(self.cphd)
+            place = self.cphd.place
             raise SarsplatError(
                 f"{self.cphd.path} shows {high[0] - low[0]:.0f} m × {high[1] - low[1]:.0f} m about "
                 f"{place.latitude_deg:.6f}, {place.longitude_deg:.6f}, which does not contain the image; "

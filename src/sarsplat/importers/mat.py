@@ -16,7 +16,7 @@ import numpy as np
 
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.importers.files import complex_of, hdf5_array, opened_hdf5, require
+from sarsplat.importers.files import complex_of, hdf5_array, opened_hdf5
 
 if TYPE_CHECKING:
     import h5py
@@ -48,7 +48,6 @@ def read_mat(path: str | Path) -> dict[str, Any]:
         file.seek(0)
         decoder = _Decoder(path, _byte_order(path, file.read(128)), _EXPANSION * size + _FREE_BYTES)
         if not decoder.order:
-            require("h5py", "MATLAB 7.3 files need", "rslc")
             with opened_hdf5(path) as hdf5:
                 return decoder.members(hdf5, "", 0)
         variables: dict[str, Any] = {}

@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Num
 
-from sarsplat.arguments import expect
-from sarsplat.data.header import Pair
+from sarsplat.arguments import expect_fields
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, Stack, View
 from sarsplat.geometry.responses import GAUSSIAN, Response
@@ -58,14 +57,7 @@ class MeasuredImage:
     stack: Stack | None = None
 
     def __post_init__(self) -> None:
-        expect(str, name=self.name)
-        expect(np.ndarray, pixels=self.pixels)
-        expect(View, view=self.view)
-        expect(Pair, spacing_m=self.spacing_m, resolution_m=self.resolution_m, center_m=self.center_m)
-        expect(float, azimuth_std_deg=self.azimuth_std_deg)
-        expect(str | None, split=self.split)
-        expect(Response, response=self.response)
-        expect(Stack | None, stack=self.stack)
+        expect_fields(self)
         kinds, sides = ("fc", 2) if self.stack is None else ("c", 3)
         if self.pixels.dtype.kind not in kinds or self.pixels.ndim != sides:
             single = "complex amplitudes, or power as float32, in rows and columns"

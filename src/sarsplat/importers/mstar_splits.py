@@ -166,19 +166,17 @@ def divide(chips: Sequence[Chip], split: MstarSplit, target: str) -> Divided:
                 }
             )
     if not found["train"]:
-        raise SarsplatError(_nothing(chips, chosen, target))
+        present = sorted({f"{chip.serial or 'unnamed'} at {chip.depression}°" for chip in chips})
+        lacking = " and ".join(str(part) for part in chosen.train if same_class(target, part.target))
+        raise SarsplatError(
+            f"there is no chip of {lacking}, but of {', '.join(present)}; get these chips, or leave the class out"
+        )
     chosen_ones = {id(chip) for chip in (*found["train"], *found["test"])}
     if others := [chip for chip in chips if id(chip) not in chosen_ones]:
         kinds = Counter(f"{chip.serial or 'an unnamed vehicle'} at {chip.depression}°" for chip in others)
         said = ", ".join(f"{number} of {kind}" for kind, number in sorted(kinds.items()))
         warn_caller(f"{target}: left out {counted(len(others), 'chip')} that the split {split} has not ({said})")
     return Divided(found["train"], found["test"], counts)
-
-
-def _nothing(chips: Sequence[Chip], split: Split, target: str) -> str:
-    present = sorted({f"{chip.serial or 'unnamed'} at {chip.depression}°" for chip in chips})
-    lacking = " and ".join(str(part) for part in split.train if same_class(target, part.target))
-    return f"there is no chip of {lacking}, but of {', '.join(present)}; get these chips, or leave the class out"
 
 
 def _once(chips: Sequence[Chip], target: str) -> list[Chip]:

@@ -58,8 +58,12 @@ class Combined:
         cross: Float64[np.ndarray, " pulses"],
     ) -> Self:
         """Combine for an image with this middle and edge; `cross` is the direction to the antenna along its columns."""
-        phases = _phases(history, middle_m, edge_m)
-        kept, weights = _few(cross, phases)
+        everything = slice(None)
+        beyond = history.beyond_m(everything, edge_m) - history.beyond_m(everything, middle_m[None])
+        last_hz = history.first_hz + (history.frequencies - 1) * history.step_hz
+        waves = np.stack([history.first_hz, last_hz], axis=1) * 2 / SPEED_OF_LIGHT
+        turns = (waves[:, :, None] * beyond[:, None]).reshape(len(history), -1)  # phases of the places at the edge
+        kept, weights = _few(cross, turns)
         return cls(history, middle_m, kept, weights)
 
     def echoes(
@@ -98,17 +102,6 @@ class Combined:
         near = np.exp(wave * (np.arange(_BLOCK) * history.step_hz[pulses, None]))
         turned = far.astype(np.complex64)[:, :, None] * near.astype(np.complex64)[:, None]
         return samples.T * turned.reshape(len(turned), -1)[:, : history.frequencies]
-
-
-def _phases(
-    history: PhaseHistory, middle_m: Float64[np.ndarray, " 3"], edge_m: Float64[np.ndarray, "places 3"]
-) -> Float64[np.ndarray, "pulses phases"]:
-    """Return phases of the places at the edge, at the lowest and the highest frequency, in turns."""
-    everything = slice(None)
-    beyond = history.beyond_m(everything, edge_m) - history.beyond_m(everything, middle_m[None])
-    last_hz = history.first_hz + (history.frequencies - 1) * history.step_hz
-    waves = np.stack([history.first_hz, last_hz], axis=1) * 2 / SPEED_OF_LIGHT
-    return (waves[:, :, None] * beyond[:, None]).reshape(len(history), -1)
 
 
 def _few(

@@ -20,10 +20,11 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.data.dataset import Dataset
 from sarsplat.data.folders import refuse_existing
 from sarsplat.errors import SarsplatError, counted
+from sarsplat.extras import needed
 from sarsplat.geometry import ImageGrid, Place
 from sarsplat.geometry.responses import TAYLOR, UNIFORM, Taylor
 from sarsplat.importers.about import AboutScene
-from sarsplat.importers.files import each_once, require
+from sarsplat.importers.files import each_once
 from sarsplat.importers.histories import read_phase_history
 from sarsplat.importers.images import assume, check_sides, check_train_views, dataset_of, place_of, write_imported
 from sarsplat.importers.measured_image import MeasuredImage
@@ -145,7 +146,12 @@ def import_phase_history(
     images = []
     with progress("focusing pulses", sum(len(aperture.history) for aperture in parts), quiet) as reporter:
         for index, aperture in enumerate(parts):
-            images.append(_image(index, aperture, size_m, spacing, taper, reporter.advance))
+            finest = aperture.resolution_m(taper)
+            pixels = size_m / spacing if size_m > 0 and spacing > 0 else 0.0  # also of NaN
+            check_sides(size_m, pixels, pixels, f"{spacing:.3g} m")
+            grid = ImageGrid(round(pixels), round(pixels), (spacing, spacing), finest)
+            signal = focus(aperture, grid, taper, reporter.advance)
+            images.append(MeasuredImage(f"{index:03d}", signal, aperture.view, grid.spacing_m, finest, response=taper))
     source = _source(files, parts, around_m, taper)
     dataset = dataset_of(images, target=target, source=source, train_views=train_views, **about)
     return write_imported(out, replace(dataset, place=origin), overwrite=overwrite)
@@ -166,22 +172,6 @@ def _in_one_world(
         first = place_of(place, first.height_m)
     origin = Place.of_ecef(first.to_ecef(around_m))
     return [history.seen_from(origin) for history in histories], origin
-
-
-def _image(
-    index: int,
-    aperture: Aperture,
-    size_m: float,
-    spacing_m: float,
-    weighting: Taylor,
-    advance: Callable[[int], object],
-) -> MeasuredImage:
-    resolution = aperture.resolution_m(weighting)
-    pixels = size_m / spacing_m if size_m > 0 and spacing_m > 0 else 0.0  # also of NaN
-    check_sides(size_m, pixels, pixels, f"{spacing_m:.3g} m")
-    grid = ImageGrid(round(pixels), round(pixels), (spacing_m, spacing_m), resolution)
-    signal = focus(aperture, grid, weighting, advance)
-    return MeasuredImage(f"{index:03d}", signal, aperture.view, grid.spacing_m, resolution, response=weighting)
 
 
 def _source(
@@ -251,8 +241,8 @@ def focus(
     4π f/c times slant range, is taken out: the spectrum is centred at zero. `advance` counts pulses. Raises if the grid
     exceeds the unambiguous extent of frequencies or pulses, or finufft is not installed.
     """
-    require("finufft", "phase history needs", "phase-history")
-    import finufft
+    with needed("phase-history", "phase history"):
+        import finufft
 
     from sarsplat.importers.phase_combining import Combined  # here: whoever asks for a file's facts need not load SciPy
 

@@ -55,45 +55,42 @@ class PhoenixChip:
     @property
     def target_type(self) -> str:
         """E.g. `t72_tank`."""
-        return _text(self.path, self.header, "TargetType")
+        return self._text("TargetType")
 
     @property
     def serial(self) -> str:
         """Serial number of the vehicle, e.g. `132`."""
-        return _text(self.path, self.header, "TargetSerNum")
+        return self._text("TargetSerNum")
 
     @property
     def radar_position(self) -> str:
         """Side of the array that faces the radar, e.g. `bottom`."""
-        return _text(self.path, self.header, "RadarPosition")
+        return self._text("RadarPosition")
 
     @property
     def target_az_deg(self) -> float:
         """TargetAz, degrees: 0 = nose toward the radar; the nose turns clockwise in the displayed chip."""
-        return _number(self.path, self.header, "TargetAz")
+        return self._number("TargetAz")
 
     @property
     def measured_depression_deg(self) -> float:
         """Measured depression angle, degrees."""
-        return _number(self.path, self.header, "MeasuredDepression")
+        return self._number("MeasuredDepression")
 
     @property
     def desired_depression_deg(self) -> float:
         """Planned depression angle, degrees: the name of the collection (15, 17, 30, 45)."""
-        return _number(self.path, self.header, "DesiredDepression")
+        return self._number("DesiredDepression")
 
     @property
     def spacing_m(self) -> tuple[float, float]:
         """Pixel spacing (cross-range, slant range), m."""
-        return (
-            _number(self.path, self.header, "CrossRangePixelSpacing"),
-            _number(self.path, self.header, "RangePixelSpacing"),
-        )
+        return self._number("CrossRangePixelSpacing"), self._number("RangePixelSpacing")
 
     @property
     def resolution_m(self) -> tuple[float, float]:
         """3 dB width of the response (cross-range, slant range), m."""
-        return _number(self.path, self.header, "CrossRange3dBWidth"), _number(self.path, self.header, "Range3dBWidth")
+        return self._number("CrossRange3dBWidth"), self._number("Range3dBWidth")
 
     @property
     def response(self) -> Response:
@@ -130,6 +127,15 @@ class PhoenixChip:
             raise SarsplatError(
                 f"{self.path} has RadarPosition= {self.radar_position!r}; only 'bottom' is supported, so remove it"
             )
+
+    def _text(self, key: str) -> str:
+        value = self.header.get(key, "")
+        if not value.isprintable() or not value:
+            raise_damaged(self.path, f"has no readable {key} in its header")
+        return value
+
+    def _number(self, key: str) -> float:
+        return number_in(self.path, parsed(self._text(key)), key, -_LARGEST, _LARGEST)
 
 
 def is_phoenix(path: Path) -> bool:
@@ -208,14 +214,3 @@ def _parse_header(path: Path, start: bytes) -> tuple[int, dict[str, str]]:
         if header.setdefault(key.strip(), value.strip()) != value.strip():
             raise_damaged(path, f"gives {key.strip()[:40]!r} twice with different values")
     return length, header
-
-
-def _text(path: Path, header: dict[str, str], key: str) -> str:
-    value = header.get(key, "")
-    if not value.isprintable() or not value:
-        raise_damaged(path, f"has no readable {key} in its header")
-    return value
-
-
-def _number(path: Path, header: dict[str, str], key: str) -> float:
-    return number_in(path, parsed(_text(path, header, key)), key, -_LARGEST, _LARGEST)

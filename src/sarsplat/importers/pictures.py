@@ -18,8 +18,9 @@ from jaxtyping import Bool, Shaped
 from sarsplat.data.files import open_file, plain_os_errors
 from sarsplat.data.geotiff import refuse_turned
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.extras import needed
 from sarsplat.importers.columns import FACTORS, told_of_factor
-from sarsplat.importers.files import complex_of, require
+from sarsplat.importers.files import complex_of
 from sarsplat.importers.mat import read_mat
 from sarsplat.importers.rasters import OTHERS, TIFF, Tags, read_raster, refuse_bomb, sidecar_scaling
 from sarsplat.names import Quantity
@@ -105,8 +106,8 @@ def _mat(path: Path) -> Shaped[np.ndarray, "*shape"]:
 
 
 def _picture(path: Path) -> Shaped[np.ndarray, "*shape"]:
-    require("PIL", "PNG and JPEG need", "mstar")
-    from PIL import ExifTags, Image, UnidentifiedImageError
+    with needed("mstar", "a PNG or JPEG"):
+        from PIL import ExifTags, Image, UnidentifiedImageError
 
     with plain_os_errors("read", path), open_file(path) as file:
         data = file.read()

@@ -18,7 +18,7 @@ from jaxtyping import Complex64, Float64
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry.place import ecef_of_geodetic
-from sarsplat.importers.files import complex_of, hdf5_array, number_in, opened_hdf5, raise_damaged, require
+from sarsplat.importers.files import complex_of, hdf5_array, number_in, opened_hdf5, raise_damaged
 from sarsplat.importers.pictures import power_or_signal
 
 if TYPE_CHECKING:
@@ -84,16 +84,12 @@ class GeolocationGrid:
                     nearest = np.flatnonzero(line == at)
                 elif len(nearest) < count:
                     return None
-                found[k] = np.tensordot(_weights(line[nearest], at), found[k][nearest], 1)
+                nodes = line[nearest]
+                others = [np.delete(nodes, index) for index in range(len(nodes))]
+                weights = [np.prod((at - rest) / (node - rest)) for node, rest in zip(nodes, others)]  # Lagrange's
+                found[k] = np.tensordot(weights, found[k][nearest], 1)
         best, other = found
         return best if np.linalg.norm(best - other) < _ASTRAY_M else None
-
-
-def _weights(nodes: Float64[np.ndarray, " n"], at: float) -> Float64[np.ndarray, " n"]:
-    """Return Lagrange weights of values at the nodes."""
-    return np.array(
-        [np.prod((at - np.delete(nodes, k)) / (node - np.delete(nodes, k))) for k, node in enumerate(nodes)]
-    )
 
 
 @dataclass(frozen=True)
@@ -146,7 +142,6 @@ def read_rslc(path: Path, images: str | None = None) -> Rslc:
 
     Raises if it is no RSLC, damaged, or a field is missing or impossible.
     """
-    require("h5py", "RSLC files need", "rslc")
     if not is_hdf5(path):
         _refuse(path, "is not an HDF5 file")
     with opened_hdf5(path) as file:

@@ -129,7 +129,9 @@ def import_sicd(
     columns, rows = (round(size_m / step) for step in spacing)
     check_sides(size_m, rows, columns, f"{spacing[0]:.3g} m × {spacing[1]:.3g} m")
     absolute = all(sicd.calibration for sicd in sicds)
-    names = _names(paths)
+    stems = [path.stem for path in paths]
+    same = Counter(stems)
+    names = [stem if same[stem] == 1 else f"{stem}-{number}" for number, stem in enumerate(stems, 1)]
     images = (
         [stack_image(names[0], sicds, spot, layouts[0], (rows, columns), spacing, absolute)]
         if stack
@@ -177,13 +179,6 @@ def _spot(
     return centre if around is None else place_of(around, centre.height_m, heading_deg)
 
 
-def _names(paths: Sequence[Path]) -> list[str]:
-    """Return the files' names without ending, numbered where they are equal."""
-    stems = [path.stem for path in paths]
-    same = Counter(stems)
-    return [stem if same[stem] == 1 else f"{stem}-{number}" for number, stem in enumerate(stems, 1)]
-
-
 def _facts(sicd: Sicd, layout: Layout) -> dict[str, Any]:
     """Describe one image."""
     metadata = sicd.projection
@@ -210,7 +205,6 @@ def _assumptions(
     absolute: bool,
     stack: bool,
 ) -> list[str]:
-    """Return sentences on assumptions."""
     around, pixel = given
     how = "as given" if around else f"what pixel {pixel} shows" if pixel else "the first image's scene centre point"
     if around and len(around) == 2:  # type: ignore[arg-type]

@@ -27,9 +27,8 @@ from sarsplat.importers.band_limited import interpolate, taps
 from sarsplat.importers.files import raise_damaged
 from sarsplat.importers.measured_image import MeasuredImage
 from sarsplat.importers.phase_history import SPEED_OF_LIGHT
-from sarsplat.importers.sarkit_xml import sarkit_errors
 from sarsplat.importers.sicd_file import Axis, Sicd
-from sarsplat.importers.sicd_geometry import Layout, middle_of, on_ground
+from sarsplat.importers.sicd_geometry import Layout, antenna_at, middle_of, on_ground
 from sarsplat.radiometry import to_db
 
 _ASKEW = 0.05
@@ -180,7 +179,7 @@ def stack_image(
         _refuse_other_grid(first, sicd)
     frame = layout.view.look.frame
     origin = layout.place_of(np.zeros(1), np.zeros(1))
-    lines = [spot.axes @ (_antenna_at(sicd, origin)[0] - spot.ecef) for sicd in sicds]
+    lines = [spot.axes @ (antenna_at(sicd, origin)[0][0] - spot.ecef) for sicd in sicds]
     seen = np.array(lines) @ frame.T
     offsets = np.round(seen[:, 1] / -seen[:, 2], _DIGITS) + 0.0  # of elevation alone; no negative zero
     names = ", ".join(sicd.path.name for sicd in sicds)
@@ -197,7 +196,7 @@ def stack_image(
         pixels = chip(sicd, layout, shape, spacing_m, absolute)
         if sicd.row.sign > 0:  # phase rises with distance
             pixels = pixels.conj()
-        to_centre = np.linalg.norm(_antenna_at(sicd, np.zeros((1, 2))) - sicd.projection.SCP)
+        to_centre = np.linalg.norm(antenna_at(sicd, np.zeros((1, 2)))[0] - sicd.projection.SCP)
         farther = _ranges(sicd, spot, layout, azimuth, away) - to_centre - reference
         phase = stack.wavenumber * farther.reshape(shape) + level - plane[0]
         signals.append((pixels * np.exp(1j * phase)).astype(np.complex64))
@@ -205,23 +204,12 @@ def stack_image(
     return MeasuredImage(name, pixels, layout.view, spacing_m, grid.resolution_m, response=grid.response, stack=stack)
 
 
-def _antenna_at(sicd: Sicd, place: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, "n 3"]:
-    """Return the antenna's position (ECEF, m) at the centre of the aperture of each place (xrow, ycol)."""
-    from sarkit.sicd import projection
-
-    with sarkit_errors(sicd.path):
-        time = projection.compute_coa_time(sicd.projection.cT_COA, place)
-        state = projection.compute_coa_pos_vel(sicd.projection, time)
-    assert isinstance(state, projection.CoaPosVelsMono)  # read_sicd refuses others
-    return np.asarray(state.ARP_COA, np.float64)
-
-
 def _ranges(
     sicd: Sicd, spot: Place, layout: Layout, azimuth_m: Float64[np.ndarray, " n"], range_m: Float64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, " n"]:
     """Return the range from the antenna to level ground in each pixel, m."""
     ground = spot.to_ecef(on_ground(layout.view, azimuth_m, range_m))
-    antennas = _antenna_at(sicd, layout.place_of(azimuth_m, range_m))
+    antennas, _ = antenna_at(sicd, layout.place_of(azimuth_m, range_m))
     distances: Float64[np.ndarray, " n"] = np.linalg.norm(antennas - ground, axis=1)
     return distances
 

@@ -11,8 +11,9 @@ from jaxtyping import Complex64, Float64
 
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, shown
+from sarsplat.extras import needed
 from sarsplat.geometry.responses import GAUSSIAN, UNIFORM, Response, stated_taylor
-from sarsplat.importers.files import complex_of, number_in, raise_damaged, require
+from sarsplat.importers.files import complex_of, number_in, raise_damaged
 from sarsplat.importers.sarkit_xml import Metadata, Segment, any_version, read_nitf, sarkit_errors
 
 if TYPE_CHECKING:
@@ -116,11 +117,10 @@ def read_sicd(path: Path) -> Sicd:
 
     Raises if it is no monostatic SICD, truncated, garbled, compressed, or needed metadata are missing or impossible.
     """
-    require("sarkit", "SICD files need", "sicd")
+    with needed("sicd", "a SICD"):
+        import sarkit.sicd.projection as projection
     with open_file(path) as file:
         tree, segments = read_nitf(path, file)
-    import sarkit.sicd.projection as projection
-
     version = modernise(path, tree)
     with sarkit_errors(path):
         metadata = projection.MetadataParams.from_xml(tree)

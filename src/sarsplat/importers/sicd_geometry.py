@@ -131,7 +131,10 @@ def layout_around(sicd: Sicd, spot: Place, extent_m: float, *, tilted: bool = Fa
     """
     with sarkit_errors(sicd.path):
         place = _locate(sicd, spot, np.zeros((1, 3)))
-        toward, velocity, distance = _radar(sicd, spot, place[0])
+        antenna, moves = antenna_at(sicd, place[0])
+        line, velocity = spot.axes @ (antenna - spot.ecef), spot.axes @ moves
+        distance = float(np.linalg.norm(line))
+        toward = line / distance
         if not toward[2] > 0:  # also catches NaN
             raise SarsplatError(f"the radar of {sicd.path} is below the horizon of the spot; {middle_of(sicd)}")
         exact = View.towards(toward)
@@ -166,18 +169,17 @@ def _locate(sicd: Sicd, spot: Place, points: Float64[np.ndarray, "n 3"]) -> Floa
     return places
 
 
-def _radar(
-    sicd: Sicd, spot: Place, place: Float64[np.ndarray, " 2"]
-) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"], float]:
-    """Return direction to the radar at the spot's aperture centre and its velocity, world frame, and its distance."""
+def antenna_at(
+    sicd: Sicd, place: Float64[np.ndarray, "*n 2"]
+) -> tuple[Float64[np.ndarray, "*n 3"], Float64[np.ndarray, "*n 3"]]:
+    """Return position and velocity of the antenna (ECEF, m) at the aperture centre of each place (xrow, ycol)."""
     from sarkit.sicd import projection
 
-    time = projection.compute_coa_time(sicd.projection.cT_COA, place)
-    state = projection.compute_coa_pos_vel(sicd.projection, time)
+    with sarkit_errors(sicd.path):
+        time = projection.compute_coa_time(sicd.projection.cT_COA, place)
+        state = projection.compute_coa_pos_vel(sicd.projection, time)
     assert isinstance(state, projection.CoaPosVelsMono)  # read_sicd refuses others
-    line = spot.axes @ (state.ARP_COA - spot.ecef)
-    distance = float(np.linalg.norm(line))
-    return line / distance, spot.axes @ state.VARP_COA, distance
+    return np.asarray(state.ARP_COA, np.float64), np.asarray(state.VARP_COA, np.float64)
 
 
 def on_ground(view: View, azimuth_m: np.ndarray, range_m: np.ndarray) -> Float64[np.ndarray, "n 3"]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, Unpack
@@ -30,16 +30,7 @@ _SHARED = {
 }
 """Attributes that all channels of a view have in common, in words."""
 
-
-@dataclass(frozen=True)
-class _Recording:
-    """Conventions of all channels; see `import_stack`."""
-
-    wavelength_m: float
-    transmit: Transmit
-    noise: float | None
-    conjugate: bool
-    flattened: bool
+Channel = tuple[ListedPicture, MeasuredImage]
 
 
 @checks_arguments
@@ -103,7 +94,10 @@ def import_stack(
     angles = Angles.of(about)
     pictures, assumptions = read_pictures(listed, about, angles, "complex", scale, None, backscatter)
     images, layout = in_range(listed, pictures, about, assumptions)
-    images = _stacks(listed, images, _Recording(wavelength_m, transmit, noise, conjugate, flattened))
+    images = [
+        _stack(listed, view, channels, wavelength_m, transmit, noise, conjugate, flattened)
+        for view, channels in _channels(listed, images).items()
+    ]
     source: dict[str, Any] = {
         "quantity": "complex",
         "scale": scale,
@@ -121,10 +115,10 @@ def import_stack(
     return write_pictures(out, folder, listed, images, about, source, kind="stack", overwrite=overwrite)
 
 
-def _stacks(listed: PictureTable, images: Sequence[MeasuredImage], recording: _Recording) -> list[MeasuredImage]:
-    """Stack the images of the table's rows view by view; raise if those of a view are no channels of one `Stack`."""
+def _channels(listed: PictureTable, images: Sequence[MeasuredImage]) -> dict[str, list[Channel]]:
+    """Group the images of the table's rows by view."""
     _check_columns(listed)
-    channels: dict[str, list[tuple[ListedPicture, MeasuredImage]]] = {}
+    channels: dict[str, list[Channel]] = {}
     for row, image in zip(listed.pictures, images, strict=True):
         if row.view is None:
             listed.refuse_unstated("view", row)
@@ -133,7 +127,7 @@ def _stacks(listed: PictureTable, images: Sequence[MeasuredImage], recording: _R
         if not image.pixels.any():
             raise SarsplatError(f"{row.name} is zero everywhere, which no channel of a stack is; leave out its row")
         channels.setdefault(row.view, []).append((row, image))
-    return [_stack(listed, name, own, recording) for name, own in channels.items()]
+    return channels
 
 
 def _check_columns(listed: PictureTable) -> None:
@@ -147,9 +141,16 @@ def _check_columns(listed: PictureTable) -> None:
 
 
 def _stack(
-    listed: PictureTable, name: str, channels: Sequence[tuple[ListedPicture, MeasuredImage]], recording: _Recording
+    listed: PictureTable,
+    name: str,
+    channels: Sequence[Channel],
+    wavelength_m: float,
+    transmit: Transmit,
+    noise: float | None,
+    conjugate: bool,
+    flattened: bool,
 ) -> MeasuredImage:
-    """Stack the channels of one view."""
+    """Stack the channels of one view; raise if they are not those of one `Stack`."""
     where = f"{listed.path}: the view {shown(name)}"
     rows, images = zip(*channels, strict=True)
     first = images[0]
@@ -164,19 +165,15 @@ def _stack(
                     f"{image.name}; coregister them, and give them the same"
                 )
     try:
-        stack = Stack(
-            recording.wavelength_m,
-            tuple(row.baseline_rad or 0.0 for row in rows),
-            recording.transmit,
-            None if recording.noise is None else (recording.noise,) * len(rows),
-            _polarisations(listed, rows),
-        )
+        offsets = tuple(row.baseline_rad or 0.0 for row in rows)
+        noises = None if noise is None else (noise,) * len(rows)
+        stack = Stack(wavelength_m, offsets, transmit, noises, _polarisations(listed, rows))
     except SarsplatError as error:
         raise SarsplatError(f"{where}: {error}") from error
     signal = np.stack([image.pixels for image in images])
-    if recording.conjugate:
+    if conjugate:
         signal = signal.conj()
-    if recording.flattened:
+    if flattened:
         signal = (signal * np.exp(1j * stack.plane_phases(first.view, first.grid))).astype(signal.dtype)
     return replace(first, name=name, pixels=signal, stack=stack)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn, cast
@@ -94,12 +94,6 @@ class PictureTable:
         known = [kinds[0] for meaning, (exponent, kinds) in FACTORS.items() if meaning in self.columns and exponent < 0]
         return known[0] if known and "scale" not in self.columns else None
 
-    @property
-    def has_stacks(self) -> bool:
-        """True if the table has columns of channels, and several rows for a view."""
-        views = [picture.view for picture in self.pictures if picture.view is not None]
-        return bool(self.columns.keys() & {"baseline", "polarisation"}) and len(set(views)) < len(views)
-
     def refuse_unstated(self, what: str, picture: ListedPicture, remedy: str = "fill it in") -> NoReturn:
         """Raise for a picture whose row does not state something that is needed."""
         raise SarsplatError(f"{self.path} does not state the {what} of {picture.name}; {remedy}")
@@ -132,7 +126,9 @@ def read_picture_table(folder: Path, about: AboutPictures, *, compass: bool = Fa
         )
     require(table, columns, about.get("grazing_deg") is None, spacing, about.get("look") is not None)
     require_azimuths(table, columns, compass or about.get("azimuth_offset_deg") is not None)
-    heading = _heading(table, columns, named)
+    heading = columns.get("heading")
+    if heading is None and not {"azimuth", "az"} & set(named):  # a heading beside azimuths is checked against them
+        heading = recognised(table, "heading", columns, needed=False)
     table = converted(table, columns if heading is None else {**columns, "heading": heading})
     column = columns["file"]
     row_of: dict[Path, Row] = {}
@@ -222,13 +218,6 @@ def _table_of_names(folder: Path, files: list[Path], tables: list[Path], pattern
             f"{folder} has no picture with a name like {shown(pattern)}; give a pattern that they match"
         )
     return CsvTable(Path(pattern), ("file", *columns), tuple(rows))
-
-
-def _heading(table: CsvTable, columns: Columns, named: Mapping[str, str]) -> str | None:
-    """Return the column of headings, also beside azimuths, unless only the column of azimuths was named."""
-    if "heading" in columns or {"azimuth", "az"} & set(named):
-        return columns.get("heading")
-    return recognised(table, "heading", columns, needed=False)
 
 
 def _listed(table: CsvTable, row: Row, columns: Columns, heading: str | None, path: Path) -> ListedPicture:

@@ -5,7 +5,7 @@ from typing import Generic, TypeVar
 
 import torch
 
-from sarsplat.renderer.engines.recorder import MOST_WORDS, Recorder, Told
+from sarsplat.renderer.engines.recorder import Recorder, Told
 
 T = TypeVar("T")
 
@@ -25,11 +25,6 @@ class RecordedSteps(Generic[T]):
         self._values: Hashable = None
         self._objects: Sequence[object] = ()  # kept alive: a later object could have the same address
         self._record: tuple[T, Callable[[], None]] | None = None
-
-    @staticmethod
-    def has_room(views: int, rates: int) -> bool:
-        """True if the device has room for the numbers of a step."""
-        return 2 * views + 2 + rates <= MOST_WORDS
 
     def run(
         self,

@@ -11,7 +11,6 @@ from scipy.fft import next_fast_len
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.learning.model import SceneModel
 from sarsplat.learning.parts.part import Shot
@@ -59,8 +58,13 @@ class Sampler:
         self._backdrop: Tensor | None = None
         with torch.no_grad():
             self._scene, self._ground, self._echoes = model.scene(degree), model.ground(), model.echoes()
-        self._parts = _divided(grid, self._scene) if speckle == "response" else 1
-        self._grid = _finer(grid, self._parts)
+        self._parts = 1
+        if speckle == "response":  # pixels smaller than the Gaussians, an odd number in each
+            smallest = self._scene.scales.amin(1).double().quantile(_SMALL_QUANTILE).item()
+            parts = math.ceil(max(grid.spacing_m) / (_PIXEL_STD * smallest))
+            self._parts = min(parts + 1 - parts % 2, _MAX_PARTS)
+        x, r = (spacing / self._parts for spacing in grid.spacing_m)
+        self._grid = replace(grid, rows=self._parts * grid.rows, columns=self._parts * grid.columns, spacing_m=(x, r))
         self._margins, wider = _widened(self._grid)
         self._response = ResponseSpeckle(wider)
         self._shape = scatterers / self._response.pixels
@@ -129,20 +133,16 @@ class Sampler:
         if self._backdrop is None:
             developed = [self._model.developed(power, shot) for power in (images, without)]
         else:
-            part = self._part_of(self._backdrop, rng)
+            rows, columns = self._grid.rows, self._grid.columns
+            top, left = (
+                self._parts * int(rng.integers((had - needed) // self._parts + 1))
+                for had, needed in zip(self._backdrop.shape, (rows, columns), strict=True)
+            )
+            part = self._backdrop[top : top + rows, left : left + columns]
             developed = [self._on_ground(power, without[:, channel], part, shot) for power in (images, without)]
         power, rest = (image[0, channel].clamp(min=0) for image in developed)
         share = (1 - rest / power.clamp(min=torch.finfo(power.dtype).tiny)).clamp(min=0)
         return power.cpu().numpy(), share.cpu().numpy()
-
-    def _part_of(self, backdrop: Tensor, rng: np.random.Generator) -> Tensor:
-        """Random part of the given ground, of the image's size."""
-        rows, columns = self._grid.rows, self._grid.columns
-        top, left = (
-            self._parts * int(rng.integers((had - needed) // self._parts + 1))
-            for had, needed in zip(backdrop.shape, (rows, columns), strict=True)
-        )
-        return backdrop[top : top + rows, left : left + columns]
 
     def _on_ground(
         self,
@@ -158,19 +158,6 @@ class Sampler:
         share = target / images[:, channel].clamp(min=torch.finfo(images.dtype).tiny)
         plain, textured = (self._model.developed(images, shot, estimated) for estimated in (False, True))
         return plain + share[:, None] * (textured - plain)
-
-
-def _divided(grid: ImageGrid, scene: Gaussians) -> int:
-    """Oversampling factor of the pixels, so that they are smaller than the Gaussians; odd."""
-    smallest = scene.scales.amin(1).double().quantile(_SMALL_QUANTILE).item()
-    needed = math.ceil(max(grid.spacing_m) / (_PIXEL_STD * smallest))
-    return min(needed + 1 - needed % 2, _MAX_PARTS)
-
-
-def _finer(grid: ImageGrid, parts: int) -> ImageGrid:
-    """Grid with each pixel divided into `parts` × `parts`, the middle one of which has the pixel's centre."""
-    azimuth, slant_range = (spacing / parts for spacing in grid.spacing_m)
-    return replace(grid, rows=parts * grid.rows, columns=parts * grid.columns, spacing_m=(azimuth, slant_range))
 
 
 def _widened(grid: ImageGrid) -> tuple[list[tuple[int, int]], ImageGrid]:

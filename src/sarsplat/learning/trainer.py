@@ -32,6 +32,7 @@ from sarsplat.learning.training_images import ViewQueue
 from sarsplat.renderer import Rendering
 from sarsplat.renderer.engines.choice import recorder_for
 from sarsplat.renderer.engines.on_device import NotRecordable
+from sarsplat.renderer.engines.recorder import MOST_WORDS
 from sarsplat.settings.config import Config
 
 _log = logging.getLogger("sarsplat")
@@ -96,20 +97,16 @@ class Trainer:
             strategy.check(model.parameters)
         self._states = [strategy.initial_state(model.parameters) for strategy in self.strategies]
 
-    def _look(self) -> None:
-        """Switch to the images of the next step's level."""
-        factor = self.model.levels.factor(self.iteration)
-        if factor != self._factor:
-            self.images, self._factor = self._finest.multilooked(factor, self.views), factor
-            self.model.look_at(self.images.grid.cell_m)
-            self.optimiser.relearn(self.model.learned)
-
     def step(self) -> Float32[Tensor, ""]:
         """Make one step of Adam on a few views; return the loss, on the device, without waiting for a GPU.
 
         `check` raises errors of a GPU.
         """
-        self._look()
+        factor = self.model.levels.factor(self.iteration)
+        if factor != self._factor:
+            self.images, self._factor = self._finest.multilooked(factor, self.views), factor
+            self.model.look_at(self.images.grid.cell_m)
+            self.optimiser.relearn(self.model.learned)
         chosen, step = self._queue.next(), self.iteration + 1
         loss, rendering = self._recorded_step(chosen, step) or self._eager_step(chosen, step)
         self.iteration += 1
@@ -211,7 +208,7 @@ class Trainer:
         built_in = loss is None and law.__module__.startswith("sarsplat.")
         built_in = built_in and all(isinstance(one, Configured) and not one.acts_before() for one in self.strategies)
         views, rates = self._queue.size, len(self.model.parameters) + 2
-        if recorder is None or not RecordedSteps.has_room(views, rates):
+        if recorder is None or 2 * views + 2 + rates > MOST_WORDS:
             return None
         if not built_in or not self._observation.recordable or not isinstance(self.optimiser.stepper, EngineAdam):
             _log.info("CUDA graphs are off: they support built-in losses, laws and strategies on single images only")

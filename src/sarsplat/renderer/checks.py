@@ -46,18 +46,14 @@ def check_shapes(
     shift: Tensor | None,
     gain: Tensor | None,
 ) -> None:
-    """Raise if there are no views, or a tensor has no values or a shape that does not fit them."""
+    """Raise if there are no views, or a tensor has a shape that does not fit them."""
     if not views:
         raise SarsplatError("there are no views to render; give at least one View")
     v, n = len(views), len(gaussians)
-    check_has_values("means", gaussians.means)
     for name, tensor, shape in (("shift", shift, (v, 2)), ("gain", gain, (v,))):
-        if tensor is not None:
-            check_has_values(name, tensor)
-            if tuple(tensor.shape) != shape:
-                raise SarsplatError(f"{name} has shape {tuple(tensor.shape)}; for {v} views it must be {shape}")
+        if tensor is not None and tuple(tensor.shape) != shape:
+            raise SarsplatError(f"{name} has shape {tuple(tensor.shape)}; for {v} views it must be {shape}")
     if amplitudes is not None:
-        check_has_values("amplitudes", amplitudes)
         check_channels("amplitudes", amplitudes, v, n)
         if amplitudes.is_complex():
             raise SarsplatError(
@@ -72,12 +68,6 @@ def check_channels(name: str, tensor: Tensor, views: int, gaussians: int) -> Non
             f"{name} has shape {tuple(tensor.shape)}; for {views} views of {gaussians} Gaussians it must be "
             f"({views}, {gaussians}, C) with at least one channel"
         )
-
-
-def check_has_values(name: str, tensor: Tensor) -> None:
-    """Raise if a tensor is on the meta device."""
-    if tensor.is_meta:
-        raise SarsplatError(f"{name} is on torch's meta device, which holds no values; make it on the CPU")
 
 
 def check_options(

@@ -12,14 +12,7 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.gaussians import check_same_kind
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.geometry.view import check_unstretched
-from sarsplat.renderer.checks import (
-    check_channels,
-    check_for_reference,
-    check_has_values,
-    check_options,
-    check_shapes,
-    check_values,
-)
+from sarsplat.renderer.checks import check_channels, check_for_reference, check_options, check_shapes, check_values
 from sarsplat.renderer.engines.choice import passes_for
 from sarsplat.renderer.operations import Steps
 from sarsplat.renderer.rendering import Attenuation, Footprints, Projection, Waves
@@ -223,6 +216,5 @@ def _check_waves(waves: Waves, cross_sections: Tensor) -> None:
 
 
 def _check_batch(name: str, tensor: Tensor) -> None:
-    check_has_values(name, tensor)
     if tensor.shape[0] < 1:
         raise SarsplatError(f"{name} has shape {tuple(tensor.shape)}, which has no views; give at least one")

@@ -96,8 +96,13 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
         self.ground, self.speckle, self.scatterers = ground, speckle, scatterers
         for run in self.runs:
             encoding.require_room(run.grid, "the runs")
-            _require_equal_pixels(run, self.runs[0])
-            encoding.require_equal_sizes(run.grid, _name(run), self.runs[0].grid, _name(self.runs[0]))
+            one, other, first = run.grid, self.runs[0].grid, _name(self.runs[0])
+            if (one.spacing_m, one.resolution_m, one.response) != (other.spacing_m, other.resolution_m, other.response):
+                raise SarsplatError(
+                    f"{_name(run)} has pixels of {_pixels(one)}, but {first} of {_pixels(other)}; draw chips from runs "
+                    "with the same pixels, or make one set of each"
+                )
+            encoding.require_equal_sizes(one, _name(run), other, first)
         seed_of(seed, 0)  # refuses negative ones
         self.azimuths_deg = tuple(View(azimuth, 45.0).azimuth_deg % 360 for azimuth in azimuths_deg)
         self.grazing_deg = [_grazing(run) if grazing_deg is None else grazing_deg for run in self.runs]
@@ -125,7 +130,6 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
 
     @cached_property
     def _draw(self) -> list[DrawsSamples]:
-        """Sampler of each run."""
         backdrops = [backdrop_of(self.ground, run.grid) for run in self.runs]
         draw = []
         for run, backdrop in zip(self.runs, backdrops, strict=True):
@@ -284,15 +288,6 @@ def _shows(run: Run) -> str:
 
 def _name(run: Run) -> str:
     return "the run in memory" if run.path is None else names_of([run.path])[0]
-
-
-def _require_equal_pixels(run: Run, first: Run) -> None:
-    one, other = run.grid, first.grid
-    if (one.spacing_m, one.resolution_m, one.response) != (other.spacing_m, other.resolution_m, other.response):
-        raise SarsplatError(
-            f"{_name(run)} has pixels of {_pixels(one)}, but {_name(first)} of {_pixels(other)}; draw chips from runs "
-            "with the same pixels, or make one set of each"
-        )
 
 
 def _warn_of_far_angles(runs: Sequence[Run], lowest: float, highest: float) -> None:

@@ -4,14 +4,14 @@ import csv
 import io
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from jaxtyping import Complex64, Float32, Shaped, UInt8
 
-from sarsplat.arguments import expect
+from sarsplat.arguments import expect_fields
 from sarsplat.data.orientation import SIDES
-from sarsplat.errors import SarsplatError, shown
+from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side
 
@@ -29,12 +29,6 @@ IMPORT_COLUMNS = (
 UNUSUAL_COLUMNS = ("tilt_deg", "look")
 """Additional columns if the radar of a run squints, climbs, dives or looks to its left."""
 
-_CHOICES: dict[str, tuple[str, ...]] = {
-    "quantity": get_args(ChipQuantity),
-    "scale": get_args(ChipScale),
-    "format": get_args(ChipFormat),
-    "near": SIDES,
-}
 _WHITE = 255
 
 
@@ -72,11 +66,7 @@ class Encoding:
     near: Side = "bottom"
 
     def __post_init__(self) -> None:
-        expect(int, jpeg_quality=self.jpeg_quality)
-        expect(int | None, crop=self.crop)
-        for name, choices in _CHOICES.items():
-            if getattr(self, name) not in choices:
-                raise SarsplatError(f"{name} is {shown(getattr(self, name))}; give one of {', '.join(choices)}")
+        expect_fields(self)
         for name, value in (("quantity", "complex"), ("scale", "calibrated")):
             if getattr(self, name) == value and self.eight_bit:
                 raise SarsplatError(f"{name} is {value!r}, which the 8 bits of {self.format} cannot hold; choose npy")

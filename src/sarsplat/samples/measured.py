@@ -130,7 +130,9 @@ def write_measured_chips(
                 rows.append({**_row(file, dataset, chip, known), **stored})
             views += dataset.views
             shows.advance(1, dataset.target)
-        lacking = _lacking(counts)
+        splits, targets = (dict.fromkeys(names) for names in zip(*counts, strict=True))
+        # readers number the folders of a set as classes
+        lacking = [(split, target) for split in splits for target in targets if (split, target) not in counts]
         for split, target in lacking:
             (folder / split / target).mkdir()
         columns = *_COLUMNS, *unusual_columns(views), "near_side", encoding.scale_column
@@ -145,12 +147,6 @@ def write_measured_chips(
             stacklevel=3,
         )
     return MeasuredChips(counts, size)
-
-
-def _lacking(counts: dict[tuple[str, str], int]) -> list[tuple[str, str]]:
-    """Pairs of set and class without chips: readers number the folders of a set as classes."""
-    splits, targets = (dict.fromkeys(names) for names in zip(*counts, strict=True))
-    return [(split, target) for split in splits for target in targets if (split, target) not in counts]
 
 
 def _require_fit(path: Path, dataset: Dataset, encoding: Encoding, before: dict[Path, tuple[ImageGrid, str]]) -> None:

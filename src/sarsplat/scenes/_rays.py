@@ -204,7 +204,10 @@ def sparse_hits(
     columns, rows = (int(count) for count in np.ceil(bounds.max(axis=0)).astype(np.int64) - first)
     vertices, edges = square(facets.vertices[:, :2]) - first, patches.outlines_from(facets.vertices[:, :2])
     outlined = entered_cells(vertices[edges[:, 0]], vertices[edges[:, 1]], (max(rows, 1), max(columns, 1)))
-    parts = _parts(facets, patches, side, resolution, least_slope)
+    axes = turned(np.eye(2))  # unit vectors along the sides of squares
+    slopes = np.maximum(np.abs(facets.slope[patches.largest_face] @ axes.T), least_slope * np.abs(axes[:, 1]))
+    steps = side * np.maximum(slopes / resolution[1], np.abs(axes[:, 0]) / resolution[0])
+    parts = np.clip(np.ceil(steps / _FLAT_STEP), 1, _RAYS_PER_SIDE).astype(np.int64)  # along sides, of each patch
     tiles = [
         (row, column) for row in range(0, rows, _SQUARES_PER_TILE) for column in range(0, columns, _SQUARES_PER_TILE)
     ]
@@ -222,7 +225,11 @@ def sparse_hits(
         squares = np.stack([u[:-1, :-1], v[:-1, :-1]], axis=-1) + first
         flat = uniform & (patch >= 0)
         if flat.any():
-            yield _flat(facets, patches, patch[flat], squares[flat], parts, position, side)
+            patch = patch[flat]
+            centers, owner = _centers(squares[flat], parts[patch])
+            at, face = position(centers), patches.largest_face[patch][owner]
+            slant_range = facets.z0[face] + (facets.slope[face] * at).sum(axis=1)
+            yield Hits(at, slant_range, face.astype(np.int32), (side**2 / parts.prod(axis=1))[patch][owner])
         mixed = squares[~uniform]
         for begin in range(0, len(mixed), _SQUARES_PER_BATCH):
             at = position(_centers(mixed[begin : begin + _SQUARES_PER_BATCH], np.full(2, _RAYS_PER_SIDE))[0])
@@ -231,34 +238,6 @@ def sparse_hits(
             at, face = at[hit], face[hit]
             yield Hits(at, facets.depth(face, at), face, spacing**2)
     progress(1.0)
-
-
-def _parts(
-    facets: Facets, patches: Patches, side: float, resolution: tuple[float, float], least_slope: float
-) -> Int64[np.ndarray, "patches 2"]:
-    """Return the number of parts along each side of a square, for each patch."""
-    axes = turned(np.eye(2))  # unit vectors along the sides
-    slope = facets.slope[patches.largest_face]
-    along_range = np.maximum(np.abs(slope @ axes.T), least_slope * np.abs(axes[:, 1])) / resolution[1]
-    steps = side * np.maximum(along_range, np.abs(axes[:, 0]) / resolution[0])
-    return np.clip(np.ceil(steps / _FLAT_STEP), 1, _RAYS_PER_SIDE).astype(np.int64)
-
-
-def _flat(
-    facets: Facets,
-    patches: Patches,
-    patch: Int64[np.ndarray, " k"],
-    squares: Int64[np.ndarray, "k 2"],
-    parts: Int64[np.ndarray, "patches 2"],
-    position: Callable[[Float64[np.ndarray, "n 2"]], Float64[np.ndarray, "n 2"]],
-    side: float,
-) -> Hits:
-    """Convert squares within patches to hits of their parts."""
-    centers, square = _centers(squares, parts[patch])
-    at = position(centers)
-    face = patches.largest_face[patch][square]
-    slant_range = facets.z0[face] + (facets.slope[face] * at).sum(axis=1)
-    return Hits(at, slant_range, face.astype(np.int32), (side**2 / parts.prod(axis=1))[patch][square])
 
 
 def _centers(

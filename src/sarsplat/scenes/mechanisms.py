@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Complex128, Int64
 
-from sarsplat.arguments import expect
+from sarsplat.arguments import expect_fields
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.extras import Trimesh
 from sarsplat.geometry.stack import POLARISATIONS as KNOWN_POLARISATIONS
@@ -61,15 +61,13 @@ class Mechanisms:
     polarisations: Sequence[str] = POLARISATIONS
 
     def __post_init__(self) -> None:
-        expect(np.ndarray, of_faces=self.of_faces, matrices=self.matrices)
-        expect(int, of_ground=self.of_ground)
-        names = self.polarisations
-        distinct = {*map(str, names)} if isinstance(names, tuple | list) else {""}
-        if not distinct <= {*KNOWN_POLARISATIONS} or len(distinct) < len(names):
+        expect_fields(self)
+        names = tuple(self.polarisations)
+        if not {*names} <= {*KNOWN_POLARISATIONS} or len({*names}) < len(names):
             raise SarsplatError(
                 f"polarisations is {shown(names)}; give different ones of {', '.join(KNOWN_POLARISATIONS)}"
             )
-        object.__setattr__(self, "polarisations", tuple(names))
+        object.__setattr__(self, "polarisations", names)
         count, matrices = len(self.polarisations), self.matrices
         if matrices.ndim != 3 or matrices.shape[1:] != (count, count):
             raise SarsplatError(

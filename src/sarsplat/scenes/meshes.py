@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, Integer
+from jaxtyping import Integer
 
 from sarsplat.arguments import check_number, checks_arguments
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
@@ -87,7 +87,10 @@ def load_mesh(path: str | os.PathLike[str]) -> Trimesh:
     mesh = read_mesh(path)
     count = len(mesh.faces)
     vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces)
-    usable = _have_area(vertices, faces)
+    first, second, third = (vertices[faces[:, k]] for k in range(3))
+    with np.errstate(invalid="ignore"):  # infinite vertices; squares of finite ones do not overflow
+        area2 = np.linalg.norm(np.cross(second - first, third - first), axis=1)
+    usable = np.isfinite(area2) & (area2 > 0)
     if not usable.any():
         raise SarsplatError(f"none of the {count} faces of '{path}' is finite with a positive area; repair the mesh")
     if not usable.all():
@@ -96,7 +99,9 @@ def load_mesh(path: str | os.PathLike[str]) -> Trimesh:
             SarsplatWarning,
             stacklevel=2,
         )
-    mesh.update_faces(usable & _first_of_equals(vertices, faces))
+    _, number = np.unique(vertices, axis=0, return_inverse=True)
+    _, once = np.unique(np.sort(number.reshape(-1)[faces], axis=1), axis=0, return_index=True)
+    mesh.update_faces(usable & np.isin(np.arange(count), once))
     mesh.remove_unreferenced_vertices()
     return mesh
 
@@ -127,21 +132,6 @@ def suspicious_size(mesh: Trimesh, grid: ImageGrid) -> list[str]:
 def side_m(grid: ImageGrid) -> float:
     """Return the shorter side of an image, m."""
     return min(grid.rows * grid.spacing_m[1], grid.columns * grid.spacing_m[0])
-
-
-def _have_area(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
-    """Mark faces [F] that are finite and have an area."""
-    first, second, third = (vertices[faces[:, k]] for k in range(3))
-    with np.errstate(invalid="ignore"):  # infinite vertices; squares of finite ones do not overflow
-        area2 = np.linalg.norm(np.cross(second - first, third - first), axis=1)
-    return np.isfinite(area2) & (area2 > 0)
-
-
-def _first_of_equals(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Bool[np.ndarray, " f"]:
-    """Mark faces [F] that do not repeat an earlier triangle, in any order and numbering of vertices."""
-    _, number = np.unique(vertices, axis=0, return_inverse=True)
-    _, first = np.unique(np.sort(number.reshape(-1)[faces], axis=1), axis=0, return_index=True)
-    return np.isin(np.arange(len(faces)), first)
 
 
 def read_mesh(path: Path) -> Trimesh:

@@ -15,7 +15,6 @@ from sarsplat.arguments import check_number, checks_arguments, expect
 from sarsplat.errors import SarsplatError
 from sarsplat.extras import Trimesh
 from sarsplat.geometry import ImageGrid, Terrain
-from sarsplat.geometry.responses import Response
 from sarsplat.radiometry import from_db
 
 _STREAMS: dict[str, tuple[int, ...]] = {"speckle": (), "reflectivity": (1,), "views": (2,), "scatterers": (3,)}
@@ -163,7 +162,9 @@ class ResponseSpeckle:
 
     def __init__(self, grid: ImageGrid) -> None:
         sizes = zip((grid.rows, grid.columns), grid.spacing_m[::-1], grid.resolution_m[::-1], strict=True)
-        weights = np.outer(*(_transfer(grid.response, *size) for size in sizes))
+        distances = (np.fft.fftfreq(count, 1 / count) * (spacing_m / width_m) for count, spacing_m, width_m in sizes)
+        # the response is symmetric, so its transfer function is real
+        weights = np.outer(*(np.fft.fft(grid.response.amplitude(distance)).real for distance in distances))
         self._weights = (weights / math.sqrt(np.mean(weights**2))).astype(np.float32)  # white noise keeps its power
         power = np.abs(fft.ifft2(self._weights)) ** 2
         self.pixels = float(power.sum() ** 2 / (power**2).sum())
@@ -186,9 +187,3 @@ def white_speckle(shape: tuple[int, int], rng: np.random.Generator) -> Complex64
     """Draw uncorrelated single-look speckle of mean power 1 as complex amplitudes; no radar has such speckle."""
     noise: Float32[np.ndarray, "rows columns 2"] = rng.standard_normal((*shape, 2), np.float32) * np.float32(0.5**0.5)
     return noise.view(np.complex64)[..., 0]
-
-
-def _transfer(response: Response, count: int, spacing_m: float, width_m: float) -> Float64[np.ndarray, " n"]:
-    """Return the transfer function of a response at the frequencies of `count` samples; real, by symmetry."""
-    distance = np.fft.fftfreq(count, 1 / count) * (spacing_m / width_m)
-    return np.fft.fft(response.amplitude(distance)).real

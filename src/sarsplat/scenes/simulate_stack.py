@@ -99,7 +99,9 @@ def simulate_stack(
             face, depth = np.where(depth < of_ground, face, -1), np.minimum(depth, of_ground)
         hit = np.isfinite(depth)
         point, face = np.column_stack([position, depth])[hit], face[hit]
-        amplitude = np.sqrt(gamma0[face] * spacing**2 / 2)[:, None] * _drawn(roots, face, rng)
+        white = rng.standard_normal((2, len(face) * roots.shape[1])).T @ [1, 1j]
+        drawn = np.einsum("kij,kj->ki", roots[face], white.reshape(len(face), -1))  # E[a aᴴ] = 2 L Lᴴ
+        amplitude = np.sqrt(gamma0[face] * spacing**2 / 2)[:, None] * drawn
         row, column = axes[1].nearest(point[:, 2]), axes[0].nearest(point[:, 0])
         inside = (row >= 0) & (row < axes[1].count) & (column >= 0) & (column < axes[0].count)
         node = (row * axes[0].count + column)[inside]
@@ -121,15 +123,6 @@ def _roots(mechanisms: Mechanisms | None, stack: Stack, faces: int) -> Complex12
     if mechanisms is None or given != needed:
         raise SarsplatError(f"mechanisms (facets, polarisations) are {given}, but the stack needs {needed}")
     return mechanisms.roots
-
-
-def _drawn(
-    roots: Complex128[np.ndarray, "f p p"], face: np.ndarray, rng: np.random.Generator
-) -> Complex128[np.ndarray, "k p"]:
-    """Draw circular amplitudes of facets with E[a aᴴ] = 2 L Lᴴ."""
-    white = rng.standard_normal((2, len(face) * roots.shape[1])).T @ [1, 1j]
-    drawn: Complex128[np.ndarray, "k p"] = np.einsum("kij,kj->ki", roots[face], white.reshape(len(face), -1))
-    return drawn
 
 
 class _Axis:

@@ -27,12 +27,16 @@ def blocks_of_samples(
     """Yield these points in batches: index of the first one, coordinates and faces."""
     ends = np.cumsum(mesh.area_faces if weight is None else weight)
     shares = rng.random(count)
-    starts = _starts(ends)
+    entries = min(1 << (4 * len(ends)).bit_length(), _MAX_STARTS)  # faces at equally spaced shares of the area
+    starts = np.searchsorted(ends, np.arange(entries) / entries * ends[-1])
     vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces)
     origin = vertices[faces[:, 0]].T.copy()
     one, other = (vertices[faces[:, k]].T - origin for k in (1, 2))
     for first in range(0, count, _BATCH):
-        face = _faces_at(shares[first : first + _BATCH], ends, starts)
+        share = shares[first : first + _BATCH]
+        sought, face = share * ends[-1], starts[(share * entries).astype(np.int64)]
+        left = np.flatnonzero(ends[face] < sought)
+        face[left] = np.searchsorted(ends, sought[left])  # which is slow, so only where the table is too low
         along = rng.random((len(face), 2)).T.copy()
         beyond = along[0] + along[1] > 1.0  # in the other half of a parallelogram
         np.subtract(1.0, along, out=along, where=beyond)
@@ -40,20 +44,3 @@ def blocks_of_samples(
         for axis in range(3):
             points[axis] = one[axis][face] * along[0] + other[axis][face] * along[1] + origin[axis][face]
         yield first, points, face
-
-
-def _starts(ends: Real[np.ndarray, " faces"]) -> Int64[np.ndarray, " starts"]:
-    """Make a lookup table: the face at each of 2ⁿ equally spaced shares of the cumulative area."""
-    count = min(1 << (4 * len(ends)).bit_length(), _MAX_STARTS)
-    return np.searchsorted(ends, np.arange(count) / count * ends[-1])
-
-
-def _faces_at(
-    shares: Real[np.ndarray, " s"], ends: Real[np.ndarray, " faces"], starts: Int64[np.ndarray, " starts"]
-) -> Int64[np.ndarray, " s"]:
-    """Return the face at shares of the cumulative area; `searchsorted` is slow, so only where the table is too low."""
-    sought = shares * ends[-1]
-    face = starts[(shares * len(starts)).astype(np.int64)]
-    left = np.flatnonzero(ends[face] < sought)
-    face[left] = np.searchsorted(ends, sought[left])
-    return face

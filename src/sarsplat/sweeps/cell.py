@@ -67,13 +67,9 @@ class Cell(msgspec.Struct, frozen=True):
 
     def words(self, names: Collection[str]) -> str:
         """Description in one line, from the labels of these names and the seed."""
-        labels = {name: value for name, value in self.labels.items() if name in names}
-        return ", ".join(
-            [
-                *(f"{value}" if name in NAMES else f"{name} {value}" for name, value in labels.items()),
-                f"seed {self.seed}",
-            ]
-        )
+        chosen = {name: value for name, value in self.labels.items() if name in names}
+        labels = [f"{value}" if name in NAMES else f"{name} {value}" for name, value in chosen.items()]
+        return ", ".join([*labels, f"seed {self.seed}"])
 
     @property
     def address(self) -> str:

@@ -32,6 +32,8 @@ def page(results: Results) -> str:
     names, metrics = results.columns()
     states = Counter(one.state for one in results.results)
     datasets = dict.fromkeys(str(one.cell.labels["dataset"]) for one in results.results)
+    rows = (one.row for one in results.results if one.row is not None and one.finished)
+    warned = Counter(text for row in rows for text in dict.fromkeys(row.warnings))
     few = [*datasets] if len(datasets) <= 3 else [counted(len(datasets), "dataset")]
     return rendered(
         "sweep_page.html.j2",
@@ -42,17 +44,11 @@ def page(results: Results) -> str:
         beaten=results.beaten,
         lines=[_Row(line.texts(names, metrics)) for line in (*lines, *results.baselines())],
         figures=[figure for name in names if name not in _SETTLED for figure in _figure(name, lines, metrics)],
-        warned=[_Row((text, counted(number, "run"))) for text, number in _warned(results).most_common()],
+        warned=[_Row((text, counted(number, "run"))) for text, number in warned.most_common()],
         failed=[_Row((_words(one, names), one.reason)) for one in results.failed],
         run_heads=[*(name for name in names if name != "test set"), "seed", "state", "run"],
         runs=[_run(one, [name for name in names if name != "test set"], results) for one in results.results],
     )
-
-
-def _warned(results: Results) -> Counter[str]:
-    """Warnings of finished runs, with the number of runs."""
-    rows = (one.row for one in results.results if one.row is not None and one.finished)
-    return Counter(text for row in rows for text in dict.fromkeys(row.warnings))
 
 
 def _words(one: Result, names: Sequence[str]) -> str:

@@ -83,7 +83,12 @@ class Plan(Record):
     @classmethod
     def read(cls, path: Path) -> Self:
         """Read a plan from a TOML file."""
-        return cls.from_dict(read_toml(path), str(path))
+        with open_file(path) as file:
+            try:
+                data = tomllib.loads(file.read().decode())
+            except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+                raise SarsplatError(f"{path} is not a TOML file ({error}); correct it") from error
+        return cls.from_dict(data, str(path))
 
     def on(self, device: str) -> Self:
         """Copy of the plan and its parts for another device, "cpu" or "cuda"."""
@@ -136,12 +141,3 @@ class Plan(Record):
             return None if path is None else str((base / path).resolve())
 
         return replace(self, masks=absolute(self.masks), mesh=absolute(self.mesh))
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file."""
-    with open_file(path) as file:
-        try:
-            return tomllib.loads(file.read().decode())
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise SarsplatError(f"{path} is not a TOML file ({error}); correct it") from error

@@ -4,10 +4,9 @@ import threading
 import time
 import traceback
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import torch
@@ -96,7 +95,9 @@ def do(cell: Cell, out: Path, again: bool = False) -> Row | None:
             except Exception as error:  # a bug here or in a plugin, or no memory: other runs go on
                 traceback.print_exc()
                 row.state, row.reason, row.passing = "failed", f"{type(error).__name__}: {error}", True
-        row.reason = _without_folder(row.reason, out / RUNS / cell.address)
+        run = out / RUNS / cell.address
+        for folder in (temporary_folder(run), run):  # its name is a hash, which means nothing to users
+            row.reason = row.reason.replace(f"{folder}/", "").replace(str(folder), "the run")
         row.took_s = round(time.monotonic() - begun, 3)
         write_json(row_path(cell, out), row)
         return row
@@ -140,7 +141,9 @@ def _train_and_score(cell: Cell, folder: Path, row: Row) -> None:
         from sarsplat.report import write_report
 
         write_report(run, quiet=True)
-    row.scores, row.yardstick_m = scores_in(metrics), metrics["parameters"]["yardstick_m"]
+    scores = {name: metrics[name] for name in ("images", "points", "mesh", "baselines", "time_s")}
+    row.scores = {name: value for name, value in dotted(scores) if value is not None}
+    row.yardstick_m = metrics["parameters"]["yardstick_m"]
     row.iterations = run.iteration
 
 
@@ -172,19 +175,6 @@ def _keep(message: Warning | str, category: type[Warning], *place: object) -> No
         own = _lists.get(threading.get_ident())
         for messages in [*_lists.values()] if own is None else [own]:
             messages.append(str(message))
-
-
-def _without_folder(reason: str, run: Path) -> str:
-    """Remove the run's folder, a hash that means nothing to users, from a reason."""
-    for folder in (temporary_folder(run), run):
-        reason = reason.replace(f"{folder}/", "").replace(str(folder), "the run")
-    return reason
-
-
-def scores_in(metrics: Mapping[str, Any]) -> dict[str, float]:
-    """Scores of a `metrics.json` by dotted key, without None."""
-    scores = {name: metrics[name] for name in ("images", "points", "mesh", "baselines", "time_s")}
-    return {name: value for name, value in dotted(scores) if value is not None}
 
 
 RUN = Work(Cell, Row, do, lost, "start the sweep again to continue it")

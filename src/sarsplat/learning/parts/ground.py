@@ -49,19 +49,17 @@ class FlatGroundPart(Part):
         if train.looks is not None:
             level /= (1 - 1 / (9 * train.looks)) ** 3  # the median of gamma-distributed power, in means
         level = max(level, _FAINTEST * brightness) / self.frame.unit / mean_tangent
-        places = {"ground_texture": self._first_texture(train)} if self._side else {}
-        return {
+        first = {
             "ground": torch.full((1,), math.log(level), dtype=torch.float32, device="cpu"),
             "ground_exponent": torch.zeros(1, dtype=torch.float32, device="cpu"),
-        } | places
-
-    def _first_texture(self, train: Dataset) -> Float[Tensor, "places 1"]:
-        """Initial map: even, or estimated from the images."""
-        texture = np.zeros((self._side, self._side))
-        if self.settings.from_images:
-            axis = (np.arange(self._side) - (self._side - 1) / 2) * self._pitch_m
-            texture = np.log(from_db(ground_levels_db(train, *np.meshgrid(axis, axis))))
-        return torch.from_numpy(texture.reshape(-1, 1)).float()
+        }
+        if self._side:
+            texture = np.zeros((self._side, self._side))
+            if self.settings.from_images:
+                axis = (np.arange(self._side) - (self._side - 1) / 2) * self._pitch_m
+                texture = np.log(from_db(ground_levels_db(train, *np.meshgrid(axis, axis))))
+            first["ground_texture"] = torch.from_numpy(texture.reshape(-1, 1)).float()
+        return first
 
     def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
         """Prior: neighbouring places have similar γ⁰."""

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from sarsplat.geometry import ImageGrid
-from sarsplat.geometry.responses import GAUSSIAN, TAYLOR, Response
+from sarsplat.geometry.responses import GAUSSIAN, TAYLOR
 from sarsplat.learning.parts.part import Learned, Parameters, Part, Shot, drawn_like, normal_nats
 from sarsplat.renderer.engines.on_device import kept_on_device
 from sarsplat.settings.config import Config
@@ -142,12 +142,9 @@ def with_side_lobes(
 def _matrices(grid: ImageGrid, dtype: torch.dtype, device: torch.device) -> tuple[Tensor, Tensor]:
     """Symmetric convolution matrices along rows and columns, cached on the device."""
     response = grid.response if math.isfinite(grid.response.main_lobe) else TAYLOR
-    sizes = zip((grid.columns, grid.rows), grid.spacing_m, grid.resolution_m, strict=True)
-    return tuple(_matrix(response, *size).to(device, dtype) for size in sizes)  # type: ignore[return-value]
-
-
-def _matrix(response: Response, count: int, spacing_m: float, width_m: float) -> Float[Tensor, "{count} {count}"]:
-    distance = np.arange(count) * spacing_m / width_m
-    peak = GAUSSIAN.density(np.zeros(1)) * spacing_m / width_m  # of the renderer's response
-    row = peak * response.side_lobes(distance)
-    return torch.from_numpy(row[np.abs(np.subtract.outer(np.arange(count), np.arange(count)))]).float()
+    matrices = []
+    for count, spacing, width in zip((grid.columns, grid.rows), grid.spacing_m, grid.resolution_m, strict=True):
+        peak, pixels = GAUSSIAN.density(np.zeros(1)) * spacing / width, np.arange(count)  # of the renderer's response
+        row = peak * response.side_lobes(pixels * spacing / width)
+        matrices.append(torch.from_numpy(row[np.abs(np.subtract.outer(pixels, pixels))]).float().to(device, dtype))
+    return matrices[0], matrices[1]

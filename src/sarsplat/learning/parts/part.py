@@ -193,8 +193,3 @@ def column_means(table: Float[Tensor, "n k"]) -> Float[Tensor, " k"]:
     """Mean of each column, always of two or more: the bits of a single sum would depend on torch's threads."""
     columns = table.shape[1]
     return table.expand(-1, max(columns, 2)).mean(0)[:columns]
-
-
-def in_rows(row: Float[Tensor, "1 k"], count: int) -> Float[Tensor, "{count} k"]:
-    """Repeat a row `count` times, so that its gradient is summed over two or more columns, as in `column_means`."""
-    return row.repeat(1, 2).expand(count, -1)[:, : row.shape[1]]

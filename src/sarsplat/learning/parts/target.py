@@ -17,7 +17,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import MIN_SCALE, Gaussians, Scattering, scattering_named
 from sarsplat.gaussians.initialise import BRIGHT_DB, Region, hemisphere_shell, random_quaternions
 from sarsplat.geometry import Stack
-from sarsplat.learning.parts.part import Learned, Parameters, Part, column_means, in_rows, late, normal_nats
+from sarsplat.learning.parts.part import Learned, Parameters, Part, column_means, late, normal_nats
 from sarsplat.learning.scene_frame import Levels, SceneFrame
 from sarsplat.radiometry import brighter, usual_peak
 from sarsplat.regions.outlines import levels_db, outline
@@ -157,7 +157,8 @@ class Target(Part):
         """Scattering of all Gaussians, their own parameters before the shared ones."""
         rows = p["scattering"]
         if "law" in p:
-            rows = torch.cat([rows, in_rows(p["law"], len(rows))], dim=1)
+            twice = p["law"].repeat(1, 2)  # its gradient is summed over two or more columns, as in `column_means`
+            rows = torch.cat([rows, twice.expand(len(rows), -1)[:, : p["law"].shape[1]]], dim=1)
         return replace(self._law, parameters=rows).detailed(degree)
 
     def _lifted(self, means: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:

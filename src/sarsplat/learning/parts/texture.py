@@ -77,10 +77,12 @@ class Maps:
         axis = np.arange(-self._half, self._half + 1) * self._pitch_m
         ground = np.stack(np.meshgrid(axis, axis), axis=-1)
         self._latest: tuple[tuple[tuple[View, ...], ImageGrid, bytes], Tensor] | None = None
-        shown = torch.ones_like(ratio)
-        self._maps = torch.stack(  # [K, 2, y, x]: the ratio, and 1 where the image shows the place
-            [self._image_at(torch.stack([ratio[k], shown[k]]), k, ground) for k in range(len(ratio))]
-        )
+        half_m = np.array(grid.spacing_m) * np.array([grid.columns, grid.rows]) / 2
+        maps = []
+        for layer, view, shift_m in zip(ratio, self._views, self._shifts_m, strict=True):
+            place = (ground @ _onto_image(view).T + shift_m - grid.center_m) / half_m
+            maps.append(_sampled(torch.stack([layer, torch.ones_like(layer)]), place))
+        self._maps = torch.stack(maps)  # [K, 2, y, x]: the ratio, and 1 where the image shows the place
 
     @classmethod
     def estimated(
@@ -121,15 +123,6 @@ class Maps:
         """Texture of each training image from all others (leave-one-out): it must not explain its own speckle."""
         return torch.stack([self._factor(view, self._shifts_m[k], k, self._grid) for k, view in enumerate(self._views)])
 
-    def _image_at(
-        self, layers: Float32[Tensor, "2 rows columns"], k: int, ground_m: Float64[np.ndarray, "y x 2"]
-    ) -> Float32[Tensor, "2 y x"]:
-        """Values of image k at places on the ground."""
-        grid = self._grid
-        place = ground_m @ _onto_image(self._views[k]).T + self._shifts_m[k] - grid.center_m
-        size = np.array([grid.columns, grid.rows])
-        return _sampled(layers, place / (np.array(grid.spacing_m) * size / 2))
-
     def _factor(
         self, view: View, shift_m: Float64[np.ndarray, " 2"], dropped: int | None, grid: ImageGrid
     ) -> Float32[Tensor, "{grid.rows} {grid.columns}"]:
@@ -156,7 +149,6 @@ def _check(state: Parameters, count: int, grid: ImageGrid) -> None:
 
 
 def _view(azimuth_deg: float, grazing_deg: float, tilt_deg: float = 0.0, left: float = 0.0) -> View:
-    """View of a row of `view_deg`."""
     return View(azimuth_deg, grazing_deg, tilt_deg, "left" if left else "right")
 
 

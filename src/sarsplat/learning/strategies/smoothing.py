@@ -133,7 +133,8 @@ def towards_planes(
         """Fit the planes of a batch of cubes; results do not depend on the size of the batch."""
         batch = slice(first, first + _BATCH)
         places = mean[batch]
-        weights = _neighbours(places, tree, radius_m)
+        pairs = cKDTree(places).sparse_distance_matrix(tree, radius_m, output_type="ndarray")
+        weights = csr_matrix((np.ones(len(pairs)), (pairs["i"], pairs["j"])), (len(places), tree.n))
         i, j = np.repeat(np.arange(len(places)), np.diff(weights.indptr)), weights.indices  # pairs of neighbours
         distance = mean[j] - places[i]
         similarity = np.einsum("pi,pi->p", axis[batch][i], axis[j]) ** _NORMALS_POWER
@@ -156,12 +157,6 @@ def towards_planes(
     moves[lit_cubes], normals[lit_cubes] = height[:, None] * plane, plane
     wide[lit_cubes] = np.interp(spreads[:, 1] / spreads[:, 2].clip(min=_MIN_WIDTH * cell_m**2), _WIDE, (0, 1))
     return moves[owner], normals[owner], wide[owner], usual[owner]
-
-
-def _neighbours(places: Float64[np.ndarray, "k 3"], tree: cKDTree, radius_m: float) -> csr_matrix:
-    """Neighbours of places within a radius: a row for each place, with an entry for each point of the tree."""
-    pairs = cKDTree(places).sparse_distance_matrix(tree, radius_m, output_type="ndarray")
-    return csr_matrix((np.ones(len(pairs)), (pairs["i"], pairs["j"])), (len(places), tree.n))
 
 
 def _sums(owner: np.ndarray, rows: Float[np.ndarray, "n k"]) -> Float64[np.ndarray, "m k"]:

@@ -123,7 +123,6 @@ class GroundBounce(Echo):
         rays: RayGrid,
         shift: Float[Tensor, "v 2"] | None,
     ) -> tuple[Float[Tensor, "v n"], Footprints]:
-        """Return `parts` by the steps of a rendering."""
         check_unstretched(views)
         amplitudes = _gamma0(steps.new_pass, gaussians, views) if self.amplitudes is None else self.amplitudes
         direct, by_ground = lit_both_ways(steps, gaussians, views, grid, rays, self._height)

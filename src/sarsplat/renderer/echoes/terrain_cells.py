@@ -109,7 +109,8 @@ def cells_of(
     if shift is not None and chosen is not None:
         raise NotRecordable("asks how far images are displaced, since terrain beyond their edges may be seen")
     steps = 0 if shift is None else 1 + int(shift.detach().abs().max() / (_MARGIN * min(grid.spacing_m)))
-    return [_cache.get(terrain, view, _with_margin(grid, _MARGIN * steps), rays) for view in every]
+    wider = replace(grid, rows=grid.rows + 2 * _MARGIN * steps, columns=grid.columns + 2 * _MARGIN * steps)
+    return [_cache.get(terrain, view, wider, rays) for view in every]
 
 
 def before_terrain(
@@ -165,10 +166,6 @@ def _farthest(
     numbers = [(*cells.first, *cells.low_m.shape, begin) for cells, begin in zip(ends, begins, strict=False)]
     farthest = torch.cat([*edges, torch.zeros(1)]).to(device, dtype)  # the last is of no cell
     return torch.tensor(numbers, dtype=torch.int64, device=device), farthest
-
-
-def _with_margin(grid: ImageGrid, pixels: int) -> ImageGrid:
-    return replace(grid, rows=grid.rows + 2 * pixels, columns=grid.columns + 2 * pixels)
 
 
 def _cells(terrain: Terrain | float, view: View, grid: ImageGrid, rays: RayGrid) -> Cells:

@@ -162,7 +162,6 @@ def _width(patches: Any, std: float) -> int:
 
 
 def _blocks(rows: int, columns: int) -> int:
-    """Return the blocks of a table."""
     return -(-rows // _ROWS) * -(-columns // _COLUMNS)
 
 

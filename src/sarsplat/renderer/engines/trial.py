@@ -33,7 +33,9 @@ def objection(where: torch.device) -> str:
         gpu = device(where.index or 0)
     except SarsplatError as error:
         return str(error)
-    name = f"trial-{hashlib.sha256(repr((gpu.description, _sources())).encode()).hexdigest()[:32]}"
+    plan = [path.read_text(encoding="utf-8") for path in sorted(Path(__file__).parent.glob("cuda*.py"))]
+    engine = repr((gpu.description, [*nvrtc.sources().values(), *plan]))
+    name = f"trial-{hashlib.sha256(engine.encode()).hexdigest()[:32]}"
     if (verdict := nvrtc.read_cached(name)) is None:
         try:
             verdict = _disagreement(gpu).encode()
@@ -41,12 +43,6 @@ def objection(where: torch.device) -> str:
             return f"it could not be tried ({_first_line(error)})"
         nvrtc.write_cached(name, verdict)
     return verdict.decode()
-
-
-def _sources() -> list[str]:
-    """Return all sources of the engine."""
-    plan = sorted(Path(__file__).parent.glob("cuda*.py"))
-    return [*nvrtc.sources().values(), *(path.read_text(encoding="utf-8") for path in plan)]
 
 
 def _disagreement(launcher: Launcher) -> str:
