@@ -145,7 +145,7 @@ def grid_for(run: Run, pixels: ImageGrid) -> ImageGrid:
 
 
 def require_memory(window: Window, count: int, remedy: str) -> None:
-    """Raise if matching with so many predictions takes more than the free memory."""
+    """Raise if matching with `count` predictions takes more than the free memory."""
     rows, columns = (side + 2 * margin for side, margin in zip(window.size, window.margins, strict=True))
     required("matching images", _BYTES * count * rows * columns, remedy)
 

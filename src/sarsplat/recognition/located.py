@@ -89,7 +89,7 @@ class Located:
         return relative[np.isfinite(relative)]
 
     def of_class(self, values: Float64[np.ndarray, "n c"]) -> Float64[np.ndarray, " n"]:
-        """Values of each image given its labelled class, or the one found if its label is none of the classes."""
+        """Values of each image given its labelled class, or the class found if its label is unknown."""
         return values[np.arange(len(self)), np.where(self.labels < 0, self.found, self.labels)]
 
     @property
