@@ -64,8 +64,9 @@ def chosen(dataset: Dataset) -> Config:
     found = differences(train, trainer)
     multilevel = Levels.of(scene, replace(trainer.model.frame, grid=dataset.grid)).coarsest > 1
     if multilevel:
-        mean_direction = np.exp(1j * np.radians([view.azimuth_deg for view in train.views])).mean()
-        ground = FlatGround(from_images=bool(abs(mean_direction) < _ONE_SIDED))
+        sides = np.array([view.direction[:2] for view in train.views])
+        around = np.linalg.norm(sides.sum(0)) < _ONE_SIDED * np.linalg.norm(sides, axis=1).sum()
+        ground = FlatGround(from_images=bool(around))
         scene = replace(scene, dropout=_SMOOTHED_DROPOUT, scattering_penalty=_SMOOTHED_PENALTY, ground=ground)
     images = counted(found.images, "image")
     summary = f"gains of images differ by {found.gain_std_db:.2g} dB, {found.displaced} of {images} displaced"
@@ -76,8 +77,8 @@ def chosen(dataset: Dataset) -> Config:
         return replace(PRESETS["measured"], evidence=f"measured: {summary}")
     assert scene.surroundings is not None
     nuisances = Surroundings(noise_floor=scene.surroundings.noise_floor)
-    summary = f"scene with nuisances of each image: {summary}"
-    return replace(scene, surroundings=nuisances, scattering_penalty=0.0, evidence=summary)
+    scene = replace(scene, surroundings=nuisances, scattering_penalty=0.0)
+    return replace(scene, evidence=f"scene with nuisances of each image: {summary}")
 
 
 def _trial(dataset: Dataset, scene: Config) -> Trainer:
