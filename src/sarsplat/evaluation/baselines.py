@@ -73,8 +73,9 @@ def rotated_average(
 
 def levelled_average(train: Dataset, views: Sequence[View]) -> Float64[np.ndarray, "v rows columns"]:
     """Predict each view by the rotated average of images over their medians, as scales of chips may differ."""
-    levels = np.median(train.power, axis=(1, 2), keepdims=True).astype(np.float64)
-    return rotated_average(train.power / np.maximum(levels, LEAST_POWER), train.views, views, train.grid)
+    median, mean = (of(train.power, axis=(1, 2), keepdims=True).astype(np.float64) for of in (np.median, np.mean))
+    levels = np.where(median > 0, median, np.maximum(mean, LEAST_POWER))  # of images that are black in part
+    return rotated_average(train.power / levels, train.views, views, train.grid)
 
 
 def baseline_scores(dataset: Dataset, reasons: dict[str, str]) -> dict[str, dict[str, dict[str, float | None]]]:

@@ -151,7 +151,7 @@ class Reconstruction(ABC):
     """Interface of a learned target; results are numpy arrays, whatever the device."""
 
     gaussians: Gaussians | None = None
-    """The target's Gaussians, of methods that learn any."""
+    """The target's Gaussians, of methods that learn any; γ⁰ in the unit of `model`."""
     model: SceneModel | None = None
     """The scene of Gaussians, of methods that learn one; radar maps and the viewer use it."""
 

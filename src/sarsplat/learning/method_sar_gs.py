@@ -280,7 +280,7 @@ class GaussianReconstruction(Reconstruction):
         region, above = self.model.frame.region, "" if self.model.frame.terrain is None else " above the terrain"
         box = f"{spans(region.low, region.high)} m{above} (--target-box gives another)"
         looked = {} if own else {"looked in": box}
-        scattering = {"scattering": self.gaussians.scattering.in_words}
+        scattering = {"scattering": self.gaussians.scattering.times(self.model.unit).in_words}
         chosen = {"chosen by": self.config.evidence} if self.config.evidence else {}
         return made | chosen | scattering | looked | self._rotations | self._ground
 

@@ -50,7 +50,8 @@ class Surface:
 def surface_of_run(run: Run) -> Surface:
     """Surface of the target from a run: its Gaussians, or the triangles of a method without Gaussians.
 
-    A Gaussian has the normal of the run's nearest point. Gaussians that may only imitate ground are dropped.
+    A Gaussian has the normal of the run's nearest point, and γ⁰ in the unit of `run.model`. Gaussians that may only
+    imitate ground are dropped.
 
     Raises
     ------

@@ -24,7 +24,7 @@ _MAX_STD_DEG, _MAX_REVERSED = 10.0, 0.05
 """Maximum standard deviation, degrees, and maximum odds of the reversed azimuth, of a certain one."""
 
 _FAR_STD = 4.0
-"""Standard deviations beyond which a certain azimuth contradicts a label; of other depressions they are too small."""
+"""Standard deviations beyond which a certain azimuth contradicts a label; they are too small at other depressions."""
 
 _MAX_NAMED = 6
 """Maximum number of images named."""

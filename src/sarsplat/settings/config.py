@@ -115,8 +115,8 @@ class Config(AnyConfig):
         Minimum γ⁰ of a Gaussian.
     unit : str
         Unit of every γ⁰ in the settings, and of the noise floor: "target": twice the median γ⁰ of the pixels above the
-        ground; "image": the power of ten nearest to it, 1 for calibrated images, or with `surroundings` the mean of the
-        training images.
+        ground; "image": the mean of the training images with `surroundings` or for stacks, otherwise a power of ten
+        about as large as "target", 1 for calibrated images.
     scattering_penalty : float
         Weight of differences between the Gaussians' scattering, in units of the loss of black images, or, with a
         likelihood, in nats per pixel. It favours opaque surfaces over thin layers that scatter strongly.
@@ -213,7 +213,7 @@ class Config(AnyConfig):
     total_power: NotNegative = 0.0
     scattering: str = "normal-lobes"
     p_min: NotNegative = 0.03
-    unit: Literal["image", "target"] = "image"
+    unit: Literal["target", "image"] = "target"
     scattering_penalty: NotNegative = 0.03
     common_law: bool = True
     law_from: Share = 0.4

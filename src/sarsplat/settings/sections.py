@@ -254,7 +254,7 @@ class Surroundings(Record):
     Parameters
     ----------
     noise_floor : float
-        Initial additive power, in units of the training mean, like `p_min` and every γ⁰.
+        Initial additive power, in `Config.unit`, like `p_min` and every γ⁰.
     shift_std : float
         Prior standard deviation of an image's shift, in resolution cells.
     gain_std : float

@@ -243,7 +243,7 @@ class OfScene(Subject):
             self._nearest[cloud.name] = cKDTree(self.target.means.double().cpu().numpy()).query(cloud.places_m)[1]
         towards = self.target.means.new_tensor(view.look.facing)[None]
         gamma0: Float[np.ndarray, " n"] = self.target.gamma0(towards)[0].cpu().numpy()[self._nearest[cloud.name]]
-        return gamma0
+        return self._model.unit * gamma0
 
     def render(self, view: View, *, ground: bool = True, shadow: bool = True) -> Float32[np.ndarray, "rows columns"]:
         if not self.has_ground or (ground and shadow):
