@@ -237,6 +237,7 @@ def test_remedies_work_when_followed(tmp_path: Path) -> None:
         (partial(import_chips, chips), "no chips at the", {"train_depression": 40}, {"train_depression": 17}),
         (partial(import_chips, chips), "give the table", {"labels": None}, {"labels": chips / "labels.csv"}),
         (partial(export, some, tmp_path / "a.ply"), "will hold gaussians", {"crs": "EPSG:32632"}, {"crs": None}),
+        (partial(export, some, tmp_path / "dsm-1.tif"), "is ambiguous", {}, {"content": "dsm"}),
         *(
             (partial(MapSystem.of, place), words, {"crs": crs}, {"crs": "EPSG:32632"})
             for words, crs in (("not a known", "EPSG:1"), ("not in metres", "EPSG:4326"), ("cannot show", "EPSG:3031"))

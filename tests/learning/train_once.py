@@ -23,7 +23,7 @@ DENSITY = Densification(
     gradient=2.5e-4,
     split_above=0.36,
     max_extent=0.02,
-    min_scattering=0.029,
+    min_scattering=0.1,
     max_gaussians=4000,
 )
 
@@ -37,7 +37,9 @@ def config(kind: str) -> Config:
             measured, iterations=100, gaussians=1000, harmonics_every=30, checkpoint_every=50, surroundings=around
         )
     common = {"iterations": 100, "gaussians": 2500, "harmonics_every": 30, "checkpoint_every": 50}
-    return replace(preset("default"), **common, initial_scale=0.27, ssim_weight=0.2, densification=DENSITY)
+    return replace(
+        preset("default"), **common, unit="image", initial_scale=0.27, ssim_weight=0.2, densification=DENSITY
+    )
 
 
 def main(dataset: str, out: str, threads: str, kind: str, kill_at: str = "") -> None:

@@ -95,8 +95,7 @@ def content_of(run: Run, content: Content) -> tuple[Any, str]:
         case "gaussians":
             if run.gaussians is None:
                 raise SarsplatError(
-                    f"{name_of(run)} was made by {run.method}, which learns no Gaussians; export its points or its "
-                    "mesh, such as with `content='points'` to a .ply file"
+                    f"{name_of(run)} was made by {run.method}, which learns no Gaussians; export its points or its mesh"
                 )
             data, count, noun, frame = run.gaussians, len(run.gaussians), "Gaussian", ""
             longer = "reconstruct it again, or look at its report"
