@@ -29,7 +29,7 @@ from sarsplat.settings.sections import Bounce, FlatGround
 from sarsplat.viewer.subject import training_subject
 
 GRID = ImageGrid(48, 48, (0.3, 0.3), (0.3, 0.3))
-SHORT = replace(preset("default"), iterations=150, gaussians=150, ground=FlatGround(), unit="image")
+SHORT = replace(preset("default"), iterations=150, gaussians=150, ground=FlatGround())
 
 
 def block() -> Gaussians:
@@ -117,7 +117,6 @@ BOUNCING = replace(
     points=FEW_POINTS,
     ground=FlatGround(pitch=0.0),
     bounce=Bounce(),
-    unit="image",
 )
 
 

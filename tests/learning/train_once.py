@@ -37,9 +37,7 @@ def config(kind: str) -> Config:
             measured, iterations=100, gaussians=1000, harmonics_every=30, checkpoint_every=50, surroundings=around
         )
     common = {"iterations": 100, "gaussians": 2500, "harmonics_every": 30, "checkpoint_every": 50}
-    return replace(
-        preset("default"), **common, unit="image", initial_scale=0.27, ssim_weight=0.2, densification=DENSITY
-    )
+    return replace(preset("default"), **common, initial_scale=0.27, ssim_weight=0.2, densification=DENSITY)
 
 
 def main(dataset: str, out: str, threads: str, kind: str, kill_at: str = "") -> None:

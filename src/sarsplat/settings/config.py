@@ -213,7 +213,7 @@ class Config(AnyConfig):
     total_power: NotNegative = 0.0
     scattering: str = "normal-lobes"
     p_min: NotNegative = 0.03
-    unit: Literal["target", "image"] = "target"
+    unit: Literal["image", "target"] = "image"
     scattering_penalty: NotNegative = 0.03
     common_law: bool = True
     law_from: Share = 0.4
