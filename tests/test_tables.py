@@ -309,7 +309,7 @@ def test_rotated_averages_are_displaced_with_their_grid(module, monkeypatch):
     dataset = dataset_of(grid, [(View(0, 17), "train")], images.astype(np.float32))
     run = object.__new__(recognise.Averaged)
     monkeypatch.setattr(recognise.Averaged, "dataset", property(lambda run: dataset))
-    monkeypatch.setattr(recognise, "rotated_average", lambda power, *_: power)
+    monkeypatch.setattr(recognise, "levelled_average", lambda train, views: train.power.astype(float))
     moved = run.render([View(0, 17)], replace(grid, center_m=(0.1, 0.15)))
     here = run.render([View(0, 17)])
     np.testing.assert_allclose(moved[:, 1:-1, 1:-1], (here[:, 1:-1, 1:-1] + here[:, 2:, 2:]) / 2)
