@@ -164,13 +164,13 @@ def test_cuda_learns_as_the_cpu(
     name: str, steps: int, dataset: Dataset, library: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its kernels are emulated; SSIM and likelihoods are plain torch."""
+    dataset = replace(dataset, power=4 * dataset.power)  # at which no footprint ends within rounding of a pixel
     expected, usual = train(dataset, CONFIGS[name], steps)
     use_emulated(library, monkeypatch)
     actual, other = train(dataset, CONFIGS[name], steps)
     # nats have no zero of their own, and cross it: what counts is how far they have come
     far = 1e-3 * float(expected.max() - expected.min()) if name == "measured" else 0.0
-    assert torch.allclose(actual[:6], expected[:6], rtol=1e-3, atol=far)
-    assert torch.allclose(actual, expected, rtol=2e-2, atol=far)  # rounding grows from step to step
+    assert torch.allclose(actual, expected, rtol=1e-3, atol=far)
     assert len(other.model) == len(usual.model)
     if name == "density":
         assert len(usual.model) != 80
