@@ -65,8 +65,7 @@ def azimuth_errors(
     Raises
     ------
     UndefinedScore
-        If there are few images, or these are too small, too large for the memory, or black around the
-        origin.
+        If there are few images, or these are too small, too large for the memory, or black around the origin.
     """
     if len(tested) < FEWEST:
         raise UndefinedScore(f"azimuths are found in sets of at least {FEWEST} images; these are {len(tested)}")

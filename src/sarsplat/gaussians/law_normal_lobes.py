@@ -72,7 +72,7 @@ class NormalLobes(Scattering):
         return (self.p_min + b[:, 0] + b[:, 1] * squared ** (self._exponents / 2))[..., None]
 
     def times(self, factor: float) -> Self:
-        """See `Scattering.times`; exact."""
+        """See `Scattering.times`; exact to rounding."""
         b = (factor * softplus(self.parameters[:, :2].double())).clamp(min=torch.finfo(torch.float64).tiny)
         inverse = (b + torch.log(-torch.expm1(-b))).to(self.parameters)
         return replace(self, parameters=torch.cat([inverse, self.parameters[:, 2:]], dim=1), p_min=factor * self.p_min)

@@ -170,8 +170,7 @@ def _matched(
             extents = extents_m(runs, view) if window_m is None else [(-window_m / 2, window_m / 2)] * 2
             windows = {index: window_around(extents, [chips[index].grid, *grids]) for index in members}
             largest = Window.around([*windows.values()])
-            remedy = "give fewer runs, a larger `step_deg` or a smaller `window_m`"
-            require_memory(largest, len(runs) * steps, remedy)
+            require_memory(largest, len(runs) * steps, "give fewer runs, a larger `step_deg` or a smaller `window_m`")
             down, across = largest.margins  # of every window of the group
             views, rendered = around(view, steps), []
             for run, grid in zip(runs, grids, strict=True):

@@ -318,9 +318,8 @@ class Run(Result):
 
     def write_results(self) -> None:
         """Write `points.ply`, `about.json` and files of its method, for other programs."""
-        learned = self.reconstruction
-        learned.write(self.folder)
-        if self.gaussians is not None:
-            write_gaussians_ply(self.folder / "gaussians.ply", self.gaussians)
+        self.reconstruction.write(self.folder)
+        if (gaussians := self.gaussians) is not None:
+            write_gaussians_ply(self.folder / "gaussians.ply", gaussians)
         write_json(self.folder / ABOUT, self.about)
         write_points_ply(self.folder / POINTS, self.points, normals=self.normals)
