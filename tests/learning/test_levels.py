@@ -14,6 +14,7 @@ from sarsplat.gaussians import MIN_SCALE, NormalLobes
 from sarsplat.gaussians.initialise import Region
 from sarsplat.learning import Trainer
 from sarsplat.learning.method_sar_gs import lengths
+from sarsplat.learning.model import SceneModel
 from sarsplat.learning.parts.target import scales_m
 from sarsplat.learning.scene_frame import Levels, SceneFrame
 from sarsplat.learning.strategies import Info
@@ -44,6 +45,14 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 @pytest.fixture(scope="module")
 def coarse() -> Config:
     return replace(preset("quick"), iterations=12, gaussians=300, checkpoint_every=10)
+
+
+@pytest.mark.parametrize("factor", [1.0, 3e4])
+def test_the_first_renderings_have_a_share_of_the_images_power(scene: Dataset, coarse: Config, factor: float) -> None:
+    model = SceneModel.initial(coarse, replace(scene, power=scene.power * factor), torch.Generator().manual_seed(0))
+    images = render(model.target(0).detach(), VIEWS, GRID).images
+    power = float(images.sum()) * model.unit / (scene.power.sum() * factor)
+    assert power == pytest.approx(coarse.initial_scattering, rel=0.15)
 
 
 def levels(side_m: float, iterations: int = 100, coarsest: int = 8, pixels: int = 640) -> Levels:

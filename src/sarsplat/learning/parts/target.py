@@ -22,7 +22,7 @@ from sarsplat.learning.scene_frame import Levels, SceneFrame
 from sarsplat.radiometry import brighter, usual_peak
 from sarsplat.regions.outlines import levels_db, outline
 from sarsplat.regions.stack_region import enough_gaussians, imaged_sample
-from sarsplat.renderer import Bounds
+from sarsplat.renderer import Bounds, render
 from sarsplat.renderer.checks import MAX_SCALE
 from sarsplat.renderer.engines.on_device import kept_on_device
 from sarsplat.renderer.engines.operation import differentiable_once
@@ -35,6 +35,7 @@ _FAINT = 0.05  # optical depth of a faint Gaussian, the scale of the sparsity pr
 _INITIAL_WIDTHS = (1.0, 1.0, 0.9)
 """Relative initial widths of an oriented Gaussian: rounding must not decide which axis is the shortest."""
 
+_OVER_P_MIN = 2.0  # minimum γ⁰ at the start, in P_min, near which the scattering has no gradient
 _SIMILAR = 0.6  # scale of the scattering penalty: larger differences of parameters cost little more
 _STEP, _SEED = 0x9E3779B97F4A7C15, 0xD1B54A32D192ED03  # odd multipliers that spread step and seed over 64 bits
 
@@ -99,13 +100,19 @@ class Target(Part):
                 config.fewest_gaussians, round(config.gaussians_per_cell * _cells(train) / self._levels.coarsest**1.5)
             )
             means = torch.from_numpy(sample(region, n, generator)).float()
-        scattering = law(config, n, config.initial_scattering, self.frame.stacks).parameters
+        quaternions, depth = random_quaternions(n, generator), means.new_full((n,), config.initial_optical_depth)
+        scales = means.new_tensor(_start_scales_m(config, self._coarsest_m)).repeat(n, 1)
+        scattering = law(config, n, config.initial_scattering, self.frame.stacks)
+        if not (config.ground or config.surroundings or self.frame.stacks):  # images show nothing else
+            lit_m2 = _lit_m2(Gaussians(means, quaternions, scales, depth, scattering), train)
+            gamma0 = config.initial_scattering * _power_m2(train) / self.frame.unit / lit_m2
+            scattering = law(config, n, max(gamma0, _OVER_P_MIN * config.p_min))
         return {
             "means": means,
-            "quaternions": random_quaternions(n, generator),
-            "scales": means.new_tensor(_start_scales_m(config, self._coarsest_m)).repeat(n, 1),
-            "optical_depth": means.new_full((n,), config.initial_optical_depth),
-            "scattering": scattering[:, : self._own].contiguous(),
+            "quaternions": quaternions,
+            "scales": scales,
+            "optical_depth": depth,
+            "scattering": scattering.parameters[:, : self._own].contiguous(),
         } | ({"law": self._law.parameters[:, self._own :].clone()} if self._common else {})
 
     def nats(self, p: Parameters) -> Iterator[Float[Tensor, ""]]:
@@ -268,6 +275,19 @@ def scales_m(config: Config, cell_m: float, coarsest: int = 1) -> tuple[float, f
                 f"{MIN_SCALE:g} m to {MAX_SCALE:g} m can be rendered; choose another, or check the grid's metres"
             )
     return max(smallest, MIN_SCALE), first, largest
+
+
+def _lit_m2(gaussians: Gaussians, train: Dataset) -> float:
+    """Lit area of Gaussians, m², summed over the training views: their power if γ⁰ is 1."""
+    ones = gaussians.means.new_ones(1, len(gaussians), 1)
+    lit = (render(gaussians, [view], train.grid, amplitudes=ones).cross_sections for view in train.views)
+    return sum(float(area.numpy().sum(dtype=np.float64)) for area in lit)
+
+
+def _power_m2(train: Dataset) -> float:
+    """Cross-section of the target in the training images, m², summed over them, without what far outshines the rest."""
+    usual = np.minimum(train.power, usual_peak(train.power))
+    return float(usual.sum(dtype=np.float64)) * math.prod(train.grid.spacing_m)
 
 
 def _cells(train: Dataset) -> float:
