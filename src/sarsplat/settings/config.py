@@ -133,8 +133,8 @@ class Config(AnyConfig):
     initial_optical_depth : float
         Two-way peak optical depth of a Gaussian at the start.
     initial_scattering : float
-        γ⁰ of a Gaussian at the start, its mean over all directions; in images of a target alone, relative to the γ⁰
-        with which the first renderings have their power.
+        γ⁰ of a Gaussian at the start, its mean over all directions; in images of a target alone, relative to the upper
+        quartile, over the views, of the γ⁰ with which the first rendering has the image's power.
     scale_bounds : tuple of float
         Minimum and maximum standard deviation of a Gaussian, in resolution cells; the maximum times f¹ᐟ⁶ if the
         training begins with blocks of f × f pixels.
@@ -221,7 +221,7 @@ class Config(AnyConfig):
     law_penalty: NotNegative = 0.005
     initial_scale: Positive = 0.2
     initial_optical_depth: OpticalDepth = 0.5
-    initial_scattering: NotNegative = 0.6
+    initial_scattering: NotNegative = 0.5
     scale_bounds: tuple[Positive, Positive] = (0.067, 0.5)
     margin: NotNegative = 0.67
     max_optical_depth: OpticalDepth = 10.0

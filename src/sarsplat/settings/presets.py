@@ -58,7 +58,6 @@ PRESETS: dict[str, Config] = {
         law_penalty=3e-4,
         dropout=0.7,
         initial_scale=0.27,
-        initial_scattering=0.5,
         scale_bounds=(0.2, 0.83),
         fine_from=1.0,
         rates=Rates(means=0.33),

@@ -36,6 +36,7 @@ _INITIAL_WIDTHS = (1.0, 1.0, 0.9)
 """Relative initial widths of an oriented Gaussian: rounding must not decide which axis is the shortest."""
 
 _OVER_P_MIN = 2.0  # minimum γ⁰ at the start, in P_min, near which the scattering has no gradient
+_LEAST_M2 = 1e-9  # minimum lit area of the first Gaussians, m²
 _SIMILAR = 0.6  # scale of the scattering penalty: larger differences of parameters cost little more
 _STEP, _SEED = 0x9E3779B97F4A7C15, 0xD1B54A32D192ED03  # odd multipliers that spread step and seed over 64 bits
 
@@ -104,9 +105,8 @@ class Target(Part):
         scales = means.new_tensor(_start_scales_m(config, self._coarsest_m)).repeat(n, 1)
         scattering = law(config, n, config.initial_scattering, self.frame.stacks)
         if not (config.ground or config.surroundings or self.frame.stacks):  # images show nothing else
-            lit_m2 = _lit_m2(Gaussians(means, quaternions, scales, depth, scattering), train)
-            gamma0 = config.initial_scattering * _power_m2(train) / self.frame.unit / lit_m2
-            scattering = law(config, n, max(gamma0, _OVER_P_MIN * config.p_min))
+            gamma0 = _usual_gamma0(Gaussians(means, quaternions, scales, depth, scattering), train) / self.frame.unit
+            scattering = law(config, n, max(config.initial_scattering * gamma0, _OVER_P_MIN * config.p_min))
         return {
             "means": means,
             "quaternions": quaternions,
@@ -277,17 +277,17 @@ def scales_m(config: Config, cell_m: float, coarsest: int = 1) -> tuple[float, f
     return max(smallest, MIN_SCALE), first, largest
 
 
-def _lit_m2(gaussians: Gaussians, train: Dataset) -> float:
-    """Lit area of Gaussians, m², summed over the training views: their power if γ⁰ is 1."""
-    ones = gaussians.means.new_ones(1, len(gaussians), 1)
-    lit = (render(gaussians, [view], train.grid, amplitudes=ones).cross_sections for view in train.views)
-    return sum(float(area.numpy().sum(dtype=np.float64)) for area in lit)
+def _usual_gamma0(gaussians: Gaussians, train: Dataset) -> float:
+    """γ⁰ with which Gaussians return the power of an image, its upper quartile over the training views.
 
-
-def _power_m2(train: Dataset) -> float:
-    """Cross-section of the target in the training images, m², summed over them, without what far outshines the rest."""
-    usual = np.minimum(train.power, usual_peak(train.power))
-    return float(usual.sum(dtype=np.float64)) * math.prod(train.grid.spacing_m)
+    Power is clipped at the `usual_peak`, so that corner reflectors do not count.
+    """
+    ones, peak, found = gaussians.means.new_ones(1, len(gaussians), 1), usual_peak(train.power), list[float]()
+    for view, image in zip(train.views, train.power, strict=True):
+        lit_m2 = render(gaussians, [view], train.grid, amplitudes=ones).lit_area.numpy().sum(dtype=np.float64)
+        power = np.minimum(image, peak).sum(dtype=np.float64)
+        found.append(float(power) * math.prod(train.grid.spacing_m) / max(lit_m2, _LEAST_M2))
+    return float(np.quantile(found, 0.75))
 
 
 def _cells(train: Dataset) -> float:
