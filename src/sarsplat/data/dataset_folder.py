@@ -17,7 +17,7 @@ from sarsplat.data.dataset import PLAIN_FIELDS, TERRAIN, Dataset, DatasetEntry, 
 from sarsplat.data.files import inside, open_file, plain_os_errors, read_versioned_json, write_bytes, write_json
 from sarsplat.data.folders import new_folder
 from sarsplat.data.header import SCHEMA, SCHEMA_VERSION, DatasetHeader, ViewHeader
-from sarsplat.data.sidecar import MASKS, encode_masks, sidecars_of
+from sarsplat.data.sidecar import MASKS, Change, encode_masks, sidecars_of
 from sarsplat.data.terrain_file import read_terrain, write_terrain
 from sarsplat.data.tiff import read_tiff, write_tiff
 from sarsplat.errors import SarsplatError
@@ -43,7 +43,7 @@ def write_dataset(
     """Write a dataset, whole or not at all.
 
     Masks and chips without azimuth in the folder that it was read from are copied, unless they are given here or the
-    images have changed since.
+    images have changed since; masks also if images have changed by a factor.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def write_dataset(
     mesh = _mesh_bytes(dataset, truth_mesh)
     pngs = {} if masks is None else encode_masks(masks, dataset)
     if pictures is None:
-        source, pictures, kept = sidecars_of(dataset, lambda folder: _has_images(folder, dataset))
+        source, pictures, kept = sidecars_of(dataset, lambda folder: _changed(folder, dataset))
         dataset, pngs = replace(dataset, source=source), kept if masks is None else pngs
     written = replace(dataset, path=path, truth_mesh=None if mesh is None else path / _MESH)
     header = written.header()
@@ -110,23 +110,26 @@ def write_dataset(
     return written
 
 
-def _has_images(folder: Path, dataset: Dataset) -> bool:
-    """Return True if a folder still holds the first and the last image of a dataset, pixel by pixel."""
+def _changed(folder: Path, dataset: Dataset) -> Change:
+    """Return the change of the first and the last image of a dataset that a folder has."""
     header = read_header(folder)
     files = {item.name: item.file for item in header.views}
     pixels = dataset.power if dataset.signal is None else dataset.signal
     if header.pixels != ("power" if dataset.signal is None else "complex"):
-        return False
-    for index in (0, -1):
-        if (name := dataset.entries[index].name) not in files:
-            return False
+        return "pixels"
+    known = [index for index, entry in enumerate(dataset.entries) if entry.name in files]
+    change: Change = "nothing" if known else "pixels"
+    for index in known[:1] + known[-1:]:
         try:
-            stored = read_tiff(inside(folder, files[name]), pixels.shape[1:], pixels.dtype)
+            stored = read_tiff(inside(folder, files[dataset.entries[index].name]), pixels.shape[1:], pixels.dtype)
         except SarsplatError:  # of another size, or gone
-            return False
-        if not np.array_equal(stored, pixels[index]):
-            return False
-    return True
+            return "pixels"
+        brightest = np.unravel_index(np.abs(stored).argmax(), stored.shape)
+        own, other = (image.astype(np.complex128) / image[brightest] for image in (pixels[index], stored))
+        if not np.allclose(own, other, atol=0.0):
+            return "pixels"
+        change = change if np.array_equal(pixels[index], stored) else "scale"
+    return change
 
 
 def _require_training(dataset: Dataset) -> None:
