@@ -55,6 +55,8 @@ _FAR = 20.0
 """Distance from the origin, in sizes, beyond which Gaussians are moved: an image of both would show them as a dot."""
 _OUTLIERS = 0.002
 """Share of the centres on either side that is left out of the size."""
+_COMPRESSED = (".spz", ".sog", ".ksplat", ".compressed.ply")
+"""Endings of files of Gaussians that are not read."""
 _UNUSED = ("nx", "ny", "nz")
 _SMALLEST_LOG, _LARGEST_LOG = math.log(MIN_SCALE), 80.0
 """Range of logarithms of scales in m; e^80 is near the largest float32."""
@@ -151,6 +153,10 @@ def read_centred_gaussians(path: Path) -> tuple[Gaussians, Float64[np.ndarray, "
 
 def _read(path: Path, exact: tuple[str, ...]) -> tuple[Gaussians, Float64[np.ndarray, " 3"]]:
     """Read Gaussians and the vector subtracted from their means, which is zero unless coordinates are read `exact`."""
+    if path.name.lower().endswith(_COMPRESSED):
+        raise SarsplatError(
+            f"{path} is compressed; convert it to a plain PLY, z up, with splat-transform or SuperSplat"
+        )
     if (other := {".splat": _splat_columns, ".glb": glb_columns}.get(path.suffix.lower())) is not None:
         columns, comments = other(path), list[str]()
     else:
