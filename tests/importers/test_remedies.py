@@ -39,8 +39,8 @@ from programs import ROOT
 from pulses import circle, record, write
 from rslcs import IMAGES, SWATHS, write_rslc
 from sarsplat import ScatteringLaw, add_speckle, simulate_raycast
-from sarsplat.errors import SarsplatError
 from sarsplat.data import read_terrain
+from sarsplat.errors import SarsplatError
 from sarsplat.exports import MapSystem, export
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, Place, Terrain, View
@@ -171,7 +171,7 @@ ANGLES: list[tuple[str, bool, str, float, list[float], dict[str, Any], dict[str,
         for look, turn in (("right", 180), ("left", 0))
     ),
 ]
-"""Words of a contradiction; whether pictures of a lorry are on a map; columns; degrees between bearings and azimuths."""
+"""Words; whether pictures of a lorry are on a map; columns; degrees from azimuths to those given; cells; options."""
 
 
 def _templates() -> Iterator[re.Pattern[str]]:
