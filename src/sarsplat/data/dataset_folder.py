@@ -17,7 +17,7 @@ from sarsplat.data.dataset import PLAIN_FIELDS, TERRAIN, Dataset, DatasetEntry, 
 from sarsplat.data.files import inside, open_file, plain_os_errors, read_versioned_json, write_bytes, write_json
 from sarsplat.data.folders import new_folder
 from sarsplat.data.header import SCHEMA, SCHEMA_VERSION, DatasetHeader, ViewHeader
-from sarsplat.data.sidecar import MASKS, Change, encode_masks, sidecars_of
+from sarsplat.data.sidecar import MASKS, encode_masks, sidecars_of
 from sarsplat.data.terrain_file import read_terrain, write_terrain
 from sarsplat.data.tiff import read_tiff, write_tiff
 from sarsplat.errors import SarsplatError
@@ -76,7 +76,7 @@ def write_dataset(
     mesh = _mesh_bytes(dataset, truth_mesh)
     pngs = {} if masks is None else encode_masks(masks, dataset)
     if pictures is None:
-        source, pictures, kept = sidecars_of(dataset, lambda folder: _changed(folder, dataset))
+        source, pictures, kept = sidecars_of(dataset, lambda folder: _unchanged(folder, dataset))
         dataset, pngs = replace(dataset, source=source), kept if masks is None else pngs
     written = replace(dataset, path=path, truth_mesh=None if mesh is None else path / _MESH)
     header = written.header()
@@ -110,26 +110,20 @@ def write_dataset(
     return written
 
 
-def _changed(folder: Path, dataset: Dataset) -> Change:
-    """Return the change of the first and the last image of a dataset that a folder has."""
-    header = read_header(folder)
-    files = {item.name: item.file for item in header.views}
+def _unchanged(folder: Path, dataset: Dataset) -> tuple[bool, bool]:
+    """Return whether a folder's first and last image of a dataset are still the same, and the same but for a factor."""
+    files = {item.name: item.file for item in read_header(folder).views}
     pixels = dataset.power if dataset.signal is None else dataset.signal
-    if header.pixels != ("power" if dataset.signal is None else "complex"):
-        return "pixels"
     known = [index for index, entry in enumerate(dataset.entries) if entry.name in files]
-    change: Change = "nothing" if known else "pixels"
+    same = alike = bool(known)
     for index in known[:1] + known[-1:]:
         try:
             stored = read_tiff(inside(folder, files[dataset.entries[index].name]), pixels.shape[1:], pixels.dtype)
-        except SarsplatError:  # of another size, or gone
-            return "pixels"
-        brightest = np.unravel_index(np.abs(stored).argmax(), stored.shape)
-        own, other = (image.astype(np.complex128) / image[brightest] for image in (pixels[index], stored))
-        if not np.allclose(own, other, atol=0.0):
-            return "pixels"
-        change = change if np.array_equal(pixels[index], stored) else "scale"
-    return change
+        except SarsplatError:  # of another size or type, or gone
+            return False, False
+        own, other = (image / (np.abs(image).max() or 1) for image in (pixels[index], stored))
+        same, alike = same and np.array_equal(pixels[index], stored), alike and np.allclose(own, other, atol=0.0)
+    return same, alike
 
 
 def _require_training(dataset: Dataset) -> None:

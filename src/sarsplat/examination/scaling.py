@@ -177,10 +177,8 @@ def levelled(dataset: Dataset) -> Dataset:
             return entry
         return replace(entry, stack=replace(entry.stack, noise=tuple(noise * factor for noise in entry.stack.noise)))
 
-    told = (
-        f"each image was multiplied by {gains_db.min():+.1f} to {gains_db.max():+.1f} dB, so that its ground has one "
-    )
-    source = {**dataset.source, "assumptions": [*dataset.source.get("assumptions", ()), f"{told}level with the others"]}
+    told = f"each image was multiplied by {gains_db.min():+.1f} to {gains_db.max():+.1f} dB, to one ground level"
+    source = {**dataset.source, "assumptions": [*dataset.source.get("assumptions", ()), told]}
     if "contradictions" in source:
         source["contradictions"] = [text for text in source["contradictions"] if _ONE_SCALE.split(",")[0] not in text]
     signal = dataset.signal
