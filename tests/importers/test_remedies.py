@@ -272,7 +272,7 @@ def test_remedies_work_when_followed(tmp_path: Path, monkeypatch: pytest.MonkeyP
     new: dict[str, Any] = {"out": tmp_path / "out", "overwrite": True}
     flown, rslc = partial(import_phase_history, size_m=2.0, **new), partial(import_rslc, radar, size_m=50.0, **new)
     mat, cphd = partial(flown, mats[:1]), partial(flown, cphds[:1])
-    slant, stack = partial(import_sicd, size_m=30.0, **new), partial(import_stack, passes, wavelength_m=0.03, **new)
+    slant, stack = partial(import_sicd, size_m=12.0, **new), partial(import_stack, passes, wavelength_m=0.03, **new)
     for do, words, options, remedy in (
         (partial(import_pictures, spacing_m=None), "SAFE", {"folder": tmp_path / "a.SAFE"}, on_terrain),
         (partial(import_pictures, maps, spacing_m=None), "is geocoded", {}, GEOCODED),
@@ -324,7 +324,7 @@ def test_remedies_work_when_followed(tmp_path: Path, monkeypatch: pytest.MonkeyP
         (partial(import_rslc, bands, size_m=50.0, **new), "B .*is left out", {}, {"images": "LSAR/frequencyB"}),
         (partial(slant, [ahead]), "is tilted about", {}, {"tilted": True}),
         (partial(slant, [sicd]), "both", {"around": SPOT, "pixel": (9, 9)}, {"pixel": None}),
-        (partial(slant, [sicd]), "are asked for", {"size_m": 900.0}, {"size_m": 30.0}),
+        (partial(slant, [sicd]), "are asked for", {"size_m": 900.0}, {"size_m": 12.0}),
         (partial(slant, [sicd]), "is one file", {"stack": True}, {"stack": False}),
         (stack, "lacks a column of views", {"spacing_m": (0.5, 0.4)}, {"columns": {"view": "shot"}}),
     ):
