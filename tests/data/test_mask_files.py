@@ -53,7 +53,7 @@ def test_masks_are_written_beside_the_images_and_found_again(tmp_path):
     found = read_masks(tmp_path / "set/masks", dataset, dataset.splits())
     np.testing.assert_array_equal(np.stack(list(found.values())), masks)
     assert dataset.fingerprint() == written.fingerprint() == small_dataset().fingerprint()
-    levelled = dataset.power * np.float32([[[0.3]], [[7.0]], [[1.1]]])
+    levelled = dataset.power * np.array([0.3, 7.0, 1.1], np.float32)[:, None, None]
     write_dataset(tmp_path / "levelled", replace(dataset, power=levelled))
     assert [*read_masks(tmp_path / "levelled/masks", dataset, dataset.splits())] == [0, 1, 2]
     with pytest.warns(SarsplatWarning, match="left out masks of"):
