@@ -1,8 +1,8 @@
 """Fuzz every reader of files: python tests/fuzz.py [--inputs 2000] [--seed 0] [--keep FOLDER] [reader …]
 
-Each reader runs in processes of its own, guided by coverage if atheris is installed. An input may be read or refused
-with one sentence; anything else, more than a second, or more memory than 4 × its size + 64 MiB is a failure. Failing
-inputs are kept. Prints a table, and exits with code 1 if there was a failure. With a folder to keep, it can be ended at
+Each reader runs in forks of its own, guided by coverage if atheris is installed. An input may be read or refused with
+one sentence; anything else, more than a second, or more memory than 4 × its size + 64 MiB is a failure. Failing inputs
+are kept. Prints a table, and exits with code 1 if there was a failure. With a folder to keep, it can be ended at
 any time: the same command goes on from the last round of every reader.
 """
 
@@ -11,18 +11,20 @@ from __future__ import annotations
 import argparse
 import contextlib
 import faulthandler
+import importlib.util
 import json
 import math
+import os
 import random
-import subprocess
 import sys
 import tempfile
 import time
+import traceback
 import warnings
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fuzz_inputs import Reader
@@ -60,21 +62,21 @@ def main() -> int:
     parser.add_argument("--inputs", type=int, default=2000, help="for each reader")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--keep", type=Path, help="folder of failing inputs, from which a later run goes on")
-    parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     arguments.keep = arguments.keep or Path(tempfile.mkdtemp(prefix="sarsplat-fuzz-"))
     arguments.keep.mkdir(parents=True, exist_ok=True)
-    if arguments.worker:
-        work(arguments.readers[0], arguments.inputs, arguments.seed, arguments.keep)
-        return 0
-    from fuzz_inputs import READERS
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # threads do not survive a fork
+    atheris = importlib.import_module("atheris") if importlib.util.find_spec("atheris") else None
+    # takes half a minute, and so is done once
+    with atheris.instrument_imports(include=_INSTRUMENTED) if atheris else contextlib.nullcontext():
+        from fuzz_inputs import READERS
 
     names = arguments.readers or [reader.name for reader in READERS]
     totals = {name: _tally(arguments.keep, name, "total") for name in names}
     for number in range(math.ceil(arguments.inputs / _ROUND)):
         for name, total in totals.items():
             if total.rounds == number:
-                total.add(_in_process(name, number, arguments))
+                total.add(_in_process(name, number, arguments, atheris))
                 _file(arguments.keep, name, "total").write_text(json.dumps(asdict(total)))
     print(f"{'reader':<15}{'tried':>8}{'refused':>9}{'accepted':>9}{'failures':>9}{'slowest':>10}{'most memory':>13}")
     for name, total in totals.items():
@@ -99,15 +101,21 @@ def show(name: str, tally: Tally) -> None:
     )
 
 
-def _in_process(name: str, number: int, arguments: argparse.Namespace) -> Tally:
-    """The tally of a worker's round; one that dies, of a crash or a hang, is a failure."""
+def _in_process(name: str, number: int, arguments: argparse.Namespace, atheris: Any) -> Tally:
+    """The tally of a round in a fork of this process; one that dies, of a crash or a hang, is a failure."""
     keep, log = arguments.keep, _file(arguments.keep, name, "log")
     _file(keep, name, "tally").unlink(missing_ok=True)
     inputs = min(_ROUND, arguments.inputs - number * _ROUND)
-    with log.open("ab") as output:
-        command = [sys.executable, __file__, "--worker", name, "--inputs", str(inputs)]
-        command += ["--seed", str(arguments.seed + number), "--keep", str(keep)]
-        code = subprocess.run(command, stdout=output, stderr=output, check=False).returncode
+    if (child := os.fork()) == 0:
+        with log.open("ab") as output:
+            os.dup2(output.fileno(), 1), os.dup2(output.fileno(), 2)
+        try:
+            work(name, inputs, arguments.seed + number, keep, atheris)
+        except Exception:
+            traceback.print_exc()
+            os._exit(1)
+        os._exit(0)
+    code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
     found = _tally(keep, name, "tally")
     if code:
         dead = _file(keep, name, f"dead-{number}")
@@ -117,14 +125,9 @@ def _in_process(name: str, number: int, arguments: argparse.Namespace) -> Tally:
     return found
 
 
-def work(name: str, inputs: int, seed: int, keep: Path) -> None:
+def work(name: str, inputs: int, seed: int, keep: Path, atheris: Any) -> None:
     """Feed one reader, and write the tally every hundred inputs."""
-    try:
-        import atheris
-    except ImportError:
-        atheris = None
-    with atheris.instrument_imports(include=_INSTRUMENTED) if atheris else contextlib.nullcontext():
-        import fuzz_inputs
+    import fuzz_inputs
 
     reader = next(reader for reader in fuzz_inputs.READERS if reader.name == name)
     tally = Tally()

@@ -325,11 +325,11 @@ def _with_fan(data: bytes) -> bytes:
 
 
 def _instances(data: bytes) -> bytes:
-    """Four thousand copies of the first mesh."""
+    """A thousand copies of the first mesh."""
     length = int.from_bytes(data[12:16], "little")
     header = json.loads(data[20 : 20 + length])
-    header["nodes"] = [{"mesh": 0} for _ in range(4000)]
-    header["scenes"] = [{"nodes": list(range(4000))}]
+    header["nodes"] = [{"mesh": 0} for _ in range(1000)]
+    header["scenes"] = [{"nodes": list(range(1000))}]
     return _pack_glb(json.dumps(header).encode(), data[20 + length :])
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from made import small_dataset, small_mask
 from sarsplat.data import Dataset, DatasetEntry, read_dataset, read_masks, write_dataset
-from sarsplat.errors import SarsplatError
+from sarsplat.errors import SarsplatError, SarsplatWarning
 
 Image = pytest.importorskip("PIL.Image")
 
@@ -53,6 +53,11 @@ def test_masks_are_written_beside_the_images_and_found_again(tmp_path):
     found = read_masks(tmp_path / "set/masks", dataset, dataset.splits())
     np.testing.assert_array_equal(np.stack(list(found.values())), masks)
     assert dataset.fingerprint() == written.fingerprint() == small_dataset().fingerprint()
+    levelled = dataset.power * np.array([0.3, 7.0, 1.1], np.float32)[:, None, None]
+    write_dataset(tmp_path / "levelled", replace(dataset, power=levelled))
+    assert [*read_masks(tmp_path / "levelled/masks", dataset, dataset.splits())] == [0, 1, 2]
+    with pytest.warns(SarsplatWarning, match="left out masks of"):
+        write_dataset(tmp_path / "turned", replace(dataset, power=dataset.power + np.arange(12, dtype="f4")))
     write_dataset(tmp_path / "set", small_dataset(), overwrite=True)
     assert not (tmp_path / "set/masks").exists()
 

@@ -167,7 +167,7 @@ def test_a_stated_vertical_axis_other_than_z_is_refused(tmp_path):
     for axis, refused in (("z", False), ("y", True), ("-z", True)):
         path.write_bytes(path.read_bytes().replace(b"element", f"comment Vertical axis: {axis}\nelement".encode(), 1))
         if refused:
-            with pytest.raises(SarsplatError, match="turn it, z up"):
+            with pytest.raises(SarsplatError, match="convert it to a plain PLY, z up"):
                 read_gaussians_ply(path)
         else:
             read_gaussians_ply(path)

@@ -1,19 +1,17 @@
 """Cut-off, stretched, repeated and geocoded pictures are recognised; others are not taken for such."""
 
 import re
-import warnings
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter
 from test_contradictions import with_views
 
 from geocoded import on_map
 from made import dataset_of, lorry
-from sarsplat import SarsplatWarning, ScatteringLaw, add_speckle, examine, import_folder, import_mstar, simulate_raycast
+from sarsplat import ScatteringLaw, add_speckle, examine, import_mstar, simulate_raycast
 from sarsplat.cli import main
 from sarsplat.cli.from_signature import CONTRADICTED
 from sarsplat.data import Dataset, DatasetEntry, read_dataset, write_dataset
@@ -99,9 +97,14 @@ def test_pictures_that_are_stretched_one_by_one(by):
 
 
 @pytest.mark.parametrize("factor", [0.1, 10.0])
-def test_one_picture_of_another_scale_is_named(factor):
-    (said,) = scaled(with_copy(pictures(), factor * pictures().power[7]))
-    assert re.match(f"the ground of 007 is (9.9|10.[01]) dB {'darker' if factor < 1 else 'brighter'}", said)
+@pytest.mark.parametrize(("others", "alone"), [((30.0, 30.0), 30.0), ((20.0, 40.0), 60.0)])
+def test_one_picture_of_another_scale_is_named(factor, others, alone):
+    """The law of the ground between the other grazing angles holds for one that no other picture has."""
+    views = [View(30.0 * k, alone if k == 7 else others[k % 2]) for k in range(COUNT)]
+    dataset = with_views(pictures(), views)
+    assert scaled(dataset) == []
+    (said,) = scaled(with_copy(dataset, factor * dataset.power[7]))
+    assert re.match(rf"the ground of 007 is (8|9|1[01])\.\d dB {'darker' if factor < 1 else 'brighter'}", said)
 
 
 @pytest.mark.parametrize("grazings", [(30,), (20, 40, 60), (20, 30, 40, 50, 60)])
@@ -259,39 +262,6 @@ def test_azimuths_from_elsewhere_or_the_other_way() -> None:
         for dataset, expected in ((radar, False), (geocoded(radar), True)):
             views = [replace(view, azimuth_deg=sign * view.azimuth_deg + offset) for view in dataset.views]
             assert called_geocoded(with_views(dataset, views)) == expected
-
-
-def test_the_import_says_it_and_its_remedy_mends_it(tmp_path: Path) -> None:
-    """Pictures without tags, as tables of bearings; of headings that are taken for these, the check tells."""
-    radar = simulated(lorry, ROUND, 1.0)
-    rows = []
-    for number, (image, view) in enumerate(zip(radar.power, radar.views, strict=True)):
-        np.save(tmp_path / f"{number}.npy", on_map(image, view, radar.grid, 60, 0.3))
-        rows.append((f"{number}.npy", (view.azimuth_deg + 90) % 360, view.grazing_deg))
-
-    def contradictions(**options) -> list[str]:
-        lengths = {"spacing_m": (0.3, 0.3), "resolution_m": (0.4, 0.35)}
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", SarsplatWarning)  # which say the same
-            made = import_folder(tmp_path, tmp_path / "out", quantity="power", overwrite=True, **lengths, **options)
-        return made.source.get("contradictions", [])
-
-    lines = [f"{name},{bearing},{grazing}" for name, bearing, grazing in rows]
-    (tmp_path / "t.csv").write_text("\n".join(["file,azimuth,grazing", *lines]))
-    (said,) = contradictions()
-    assert "import them with geocoded='level', or" in said
-    assert contradictions(geocoded="level") == []
-    lines = [f"{name},{(bearing + 90) % 360},{grazing}" for name, bearing, grazing in rows]
-    (tmp_path / "t.csv").write_text("\n".join(["file,direction,grazing", *lines]))
-    (said,) = contradictions(geocoded="level", columns={"azimuth": "direction"})
-    assert "(`columns={'heading': 'NAME'}` look='right')" in said
-    (tmp_path / "t.csv").write_text("\n".join(["file,heading,grazing", *lines]))
-    assert contradictions(geocoded="level", look="right") == []
-    for name, _, _ in rows:  # an interpolation that averages
-        np.save(tmp_path / name, gaussian_filter(np.load(tmp_path / name), 0.5))
-    (said,) = contradictions(geocoded="level", look="right")
-    assert (match := re.search(r"interpolated to the map \(`looks=(\S+)`\), or square the values", said))
-    assert contradictions(geocoded="level", look="right", looks=float(match[1])) == []
 
 
 @pytest.mark.skipif(not CHIPS.is_dir(), reason="no measured chips")

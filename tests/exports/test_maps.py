@@ -215,21 +215,15 @@ def test_names_decide_what_a_map_holds_and_what_does_not_fit_is_refused(block: R
     assert format_of(Path("village-gamma0.tif"))[1] == format_of(Path("a_gamma0.tif"))[1] == "gamma0"
     assert format_of(Path("village layover-shadow.tif"))[1] == "layover-shadow"
     assert format_of(Path("a.tif"))[1] == "dsm"
-    for unclear in ("layover-shadow-sat.tif", "gamma0-2.tif", "nogamma0.tif"):
-        with pytest.raises(SarsplatError, match="in its name, but not at the end"):
-            format_of(Path(unclear))
-        assert format_of(Path(unclear), "dsm")[1] == "dsm"
     assert format_of(Path("gamma0.tif"), "dsm")[1] == "dsm"
     cases: list[tuple[str, dict[str, Any], str]] = [
         ("layover-shadow.tif", {}, "where the radar is; give one direction"),
         ("dsm.tif", {"view": View(0, 30)}, "does not depend on the direction"),
-        ("dsm.tif", {"pixel_m": 0.001}, "finer than the points of the surface are apart"),
         ("dsm.tif", {"pixel_m": -1.0}, "positive number of metres"),
         ("a.ply", {"pixel_m": 1.0}, "has no pixels"),
         ("dsm.tif", {"crs": "EPSG:32633"}, "has no georeference"),
         ("layover-shadow.tif", {"view": View(0, 30, tilt_deg=9)}, "need a level view"),
         ("layover-shadow.tif", {"view": View(0, 30, aloft=True)}, "aloft"),
-        ("layover-shadow.tif", {"view": View(0, 0.001)}, "is too large; give a larger `pixel_m`"),
         ("layover-shadow.tif", {"view": View(0, 89.999)}, "is too large; give a larger `pixel_m`"),
     ]
     for name, given, sentence in cases:

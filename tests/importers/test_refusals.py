@@ -30,7 +30,7 @@ from pulses import FREQUENCIES, circle, record, write
 from refusals import Do, Refusals, check_refused
 from sarsplat.geometry import View
 from sarsplat.importers import MeasuredImage, dataset_of, import_phase_history, import_sample, read_phoenix
-from sarsplat.importers.pictures import likely_quantity, power_or_signal, read_pixels
+from sarsplat.importers.pictures import power_or_signal, read_pixels
 
 
 def table(names: str, rows: list[list] | None = None, **options: Any) -> Do:
@@ -45,8 +45,7 @@ def stranger(file: str) -> Do:
         np.save(at / "secret.npy", POWER[0])
         folder = write_pictures(at / "in", POWER, [["1.npy", 0, 30], [file, 10, 30]])
         (folder / "link.npy").symlink_to(at / "secret.npy")
-        (folder / "other.csv").write_text("a\n1\n")
-        return import_pictures(folder, table=None if file == "two tables" else folder / "angles.csv")
+        return import_pictures(folder)
 
     return do
 
@@ -57,21 +56,16 @@ FOLDER: Refusals = [
     (table("shot,heading,x", spacing_m=None), "the file or the azimuth or the grazing or the spacing; .*grazing_deg"),
     (table(PLAIN, columns={"az": "azimut"}), r"no column 'azimut'; did you mean azimuth\?"),
     (table(PLAIN, columns={"azimut": "x"}), r"can be a 'azimut'; did you mean azimuth\?"),
-    (table("file,az,aspect"), "several columns that may be the azimuth: 'az', 'aspect'"),
     (table(PLAIN, spacing_m=(0.1, -1)), "pixel spacing"),
     (table(PLAIN, near="north"), "near is 'north'"),
-    (table(PLAIN, quantity=None), "holds float32 numbers of unknown meaning"),
     (table("file,azimuth,split", grazing_deg=3), "line 2: split is '30'; it must be one of train"),
     (table("file,azimuth,look", grazing_deg=3), "line 2: look is '30'; it must be one of left"),
     (table("azimuth,file,grazing"), "has none of 4 pictures"),
     (stranger("../secret.npy"), "points outside"),
     (stranger("link.npy"), "is a link out of the folder"),
     (stranger("./1.npy"), "has two rows"),
-    (stranger("two tables"), "has 2 tables"),
     (lambda at: import_pictures(at / "none"), "is not a folder"),
-    (table(PLAIN + ",class", CLASSES), r"2 classes \(tank, car\)"),
     (table(PLAIN + ",class", CLASSES, target_class="Tank"), r"2 classes \(tank, car\)"),
-    (table(PLAIN, target_class="tank"), "has no column of classes to choose 'tank' from"),
 ]
 
 
@@ -156,8 +150,7 @@ def black(folder: Path) -> None:
 
 
 MSTAR: Refusals = [
-    (chips(train_views=9), "but there are 8 chips at 17°; ask for 1 to 8, or add 15 to `train_depression`$"),
-    (chips(train_depression=30), "no chips at the training depression of 30°, but 2 at 15° and 8 at 17°"),
+    (chips(train_views=9), "but there are 8 chips at 17°; ask for 1 to 8$"),
     (chips(train_views=6, train_depression=(17, 15)), "3 of 6 training views asked for, but there are 2 chips at 15°"),
     *((row(f"17.1,3,{cell}", name), f"{name} is '{cell}', but MSTAR's radar is one, flies level")
       for name, cell in (("tilt_deg", "-3"), ("look", "left"), ("side", "L"))),
@@ -167,7 +160,6 @@ MSTAR: Refusals = [
     *((added(path), "line 13: .* points outside the folder of chips") for path in ("../a.jpeg", "/etc/passwd")),
     (chips(serial="9"), "no T72 with the serial '9'; choose one of 132"),
     (chips(target_class="T80"), r"no class 'T80' in .*labels\.csv; it has BMP2, T72"),
-    (chips(labels=None), "no Phoenix file .* as `labels`"),
     (chips(lambda folder: (folder / "T72").rename(folder / "T73")), "has none of 10 chips in"),
     (chips(lambda folder: (folder / "labels.csv").write_text("path,class\na,T72\n")), "is missing the columns 'serial"),
     (row("17.1,north"), "line 2: target_az_deg is 'north'"),
@@ -244,7 +236,6 @@ PASSES: Refusals = [
     (passes(wavelength_m=-1.0), r"the view 'v0': wavelength_m is -1.0; give .* metres"),
     (passes(noise=0.0), r"the view 'v0': noise is \(0.0, 0.0, 0.0\)"),
     (passes(transmit="both"), "transmit is 'both'; give one of 'each', 'one'"),
-    (passes({}), r"lacks a column of views, .* or one of baselines \(b/R, rad\) or polarisations"),
     (lines(lambda rows: [[rows[0][0], "comment", *rows[0][2:]], *rows[1:]]), "lacks a column of views"),
     (passes({"baseline": [0.0, 1e-3, 1e-3]}), "the view 'v0': offsets_rad is .* two passes are the same"),
     (
@@ -305,12 +296,9 @@ HISTORY: Refusals = [
     (history(freq=FREQUENCIES / 1e6), "give them in hertz"),
     (history(r0=GOOD["r0"] + 5), "differs from r0 by 5 m"),
     (history(y=np.abs(GOOD["y"])), "the azimuth turns back after pulse"),
-    (history(z=-GOOD["z"]), "the antenna is not above"),
     *(
         (history(options=options), words)
         for options, words in (
-            ({"size_m": 40.0}, "show ±4.7 m; give a smaller `size_m`"),
-            ({"size_m": 0.2}, "makes 2 × 2 pixels of"),
             ({"spacing_m": 1e-4}, "makes 40000 × 40000 pixels of"),
             ({"size_m": math.nan}, "makes 0 × 0 pixels of"),
             ({"size_m": math.inf}, "makes inf × inf pixels of"),
@@ -318,7 +306,6 @@ HISTORY: Refusals = [
                 ({"aperture_deg": width}, f"{width:g}° must be above 0°, at most 60°, and within the 2.11°")
                 for width in (0, 9, 61)
             ),
-            ({"aperture_deg": 0.05}, "holds [01] of 20 pulses; give a larger"),
             ({"aperture_deg": 5e-324}, "holds [01] of 20 pulses; give a larger"),
             ({"train_views": 2}, "2 training views asked for, but there are 1 image"),
         )
@@ -349,18 +336,12 @@ def matrices(**variables: np.ndarray) -> Do:
 
 
 PIXELS: Refusals = [
-    (
-        quantity(COMPLEX, "amplitude"),
-        "it holds complex numbers, but the quantity is 'amplitude'; give `quantity='complex'`",
-    ),
-    (quantity(REAL, "complex"), "it holds real numbers"),
     (quantity(np.where(REAL[1, 2] == REAL, np.nan, REAL), "amplitude"), r"holds nan at \(1, 2\)"),
     (quantity(COMPLEX.astype(complex) * 1e300, "complex"), "as complex"),
     (quantity(np.resize([1e300, -1e300, -1e300], (3, 4, 2)), "complex"), "as complex"),
     (quantity(REAL, "power", scale=math.nan), r"at \(0, 0\), times nan plus 0, as power"),
     *((quantity(REAL * 0 - 18.5, name), r"holds -18\.5 .*quantity='db'") for name in ("amplitude", "power")),
     (quantity(np.full((2, 2), 6119, np.uint16), "db"), "holds 6119 .* as db; no decibels are that large"),
-    (lambda _: likely_quantity(REAL, "it"), "it holds float32 numbers of unknown .*quantity"),
     (picture(np.stack([EIGHT, ALPHA], axis=-1)), "masks 2 of its 12"),
     (picture(np.stack([EIGHT] * 3 + [ALPHA], axis=-1)), "masks 2 of its 12"),
     (picture(np.where(ALPHA, EIGHT, 7).astype(np.uint8), transparency=7), "masks 2 of its 12"),

@@ -230,13 +230,13 @@ def test_images_without_azimuth_are_located_too(
     power = images[0].power[1]
     train = replace(images[0].entries[0], split="train")
     dataset = replace(images[0], entries=(train, *images[0].entries[1:]), source={"unplaced": [lost]})
-    write_dataset(tmp_path / "data", dataset, pictures={"unplaced/000.tif": power})
+    write_dataset(tmp_path / "data", dataset, pictures={lost["file"]: power}, masks=np.zeros_like(dataset.power, "u1"))
     found = locate([*runs.values()], tmp_path / "data", **QUICK)
     assert [chip.name for chip in found.chips] == [*(f"{k:03d}" for k in range(1, 8)), "lost"]
     np.testing.assert_array_equal(found.nats[7], found.nats[0])
     assert np.isnan(found.azimuth_errors_deg[7])
     copy = write_back(found, tmp_path / "data", tmp_path / "copy")
-    assert copy.entries[:-1] == dataset.entries
+    assert copy.entries[:-1] == dataset.entries and (tmp_path / "copy" / "masks" / "000.png").is_file()
     placed = copy.entries[-1]
     assert (placed.name, placed.split, placed.view.grazing_deg) == ("lost", "test", 20.0)
     assert abs(placed.view.azimuth_deg - dataset.entries[1].view.azimuth_deg) < 5

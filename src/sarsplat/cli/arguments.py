@@ -225,7 +225,7 @@ def views_from(
 
 def is_gaussians(path: Path) -> bool:
     """Return whether a path is a file of Gaussians, not a run."""
-    return not path.is_dir() and path.suffix.lower() in (".ply", ".splat", ".glb")
+    return not path.is_dir() and path.suffix.lower() in (".ply", ".splat", ".glb", ".spz", ".sog", ".ksplat")
 
 
 def run_at(path: Path, *, strays: bool = True) -> Run:

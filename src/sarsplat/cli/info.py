@@ -58,7 +58,7 @@ def _describe_file(path: Path) -> None:
     match path.suffix.lower() if path.is_file() else "":
         case ".ply":
             kind, rows = _ply(path)
-        case ".splat":
+        case ".splat" | ".spz" | ".sog" | ".ksplat":
             kind, rows = _gaussians(path)
         case ".obj" | ".stl" | ".off":
             kind, rows = _mesh(path)

@@ -43,7 +43,7 @@ def write_dataset(
     """Write a dataset, whole or not at all.
 
     Masks and chips without azimuth in the folder that it was read from are copied, unless they are given here or the
-    images have changed since.
+    images have changed since; masks also if images have changed by a factor.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def write_dataset(
     mesh = _mesh_bytes(dataset, truth_mesh)
     pngs = {} if masks is None else encode_masks(masks, dataset)
     if pictures is None:
-        source, pictures, kept = sidecars_of(dataset, lambda folder: _has_images(folder, dataset))
+        source, pictures, kept = sidecars_of(dataset, lambda folder: _unchanged(folder, dataset))
         dataset, pngs = replace(dataset, source=source), kept if masks is None else pngs
     written = replace(dataset, path=path, truth_mesh=None if mesh is None else path / _MESH)
     header = written.header()
@@ -110,23 +110,20 @@ def write_dataset(
     return written
 
 
-def _has_images(folder: Path, dataset: Dataset) -> bool:
-    """Return True if a folder still holds the first and the last image of a dataset, pixel by pixel."""
-    header = read_header(folder)
-    files = {item.name: item.file for item in header.views}
+def _unchanged(folder: Path, dataset: Dataset) -> tuple[bool, bool]:
+    """Return whether a folder's first and last image of a dataset are still the same, and the same but for a factor."""
+    files = {item.name: item.file for item in read_header(folder).views}
     pixels = dataset.power if dataset.signal is None else dataset.signal
-    if header.pixels != ("power" if dataset.signal is None else "complex"):
-        return False
-    for index in (0, -1):
-        if (name := dataset.entries[index].name) not in files:
-            return False
+    known = [index for index, entry in enumerate(dataset.entries) if entry.name in files]
+    same = alike = bool(known)
+    for index in known[:1] + known[-1:]:
         try:
-            stored = read_tiff(inside(folder, files[name]), pixels.shape[1:], pixels.dtype)
-        except SarsplatError:  # of another size, or gone
-            return False
-        if not np.array_equal(stored, pixels[index]):
-            return False
-    return True
+            stored = read_tiff(inside(folder, files[dataset.entries[index].name]), pixels.shape[1:], pixels.dtype)
+        except SarsplatError:  # of another size or type, or gone
+            return False, False
+        own, other = (image / (np.abs(image).max() or 1) for image in (pixels[index], stored))
+        same, alike = same and np.array_equal(pixels[index], stored), alike and np.allclose(own, other, atol=0.0)
+    return same, alike
 
 
 def _require_training(dataset: Dataset) -> None:

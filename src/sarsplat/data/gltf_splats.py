@@ -66,11 +66,8 @@ def glb_bytes(gaussians: Gaussians, colour: Colour) -> bytes:
     ]
     accessors[0] |= {end: getattr(packed["POSITION"], end)(axis=0).tolist() for end in ("min", "max")}
     starts = np.cumsum([0, *(array.nbytes for array in packed.values())]).tolist()
-    primitive = {
-        "mode": _POINTS,
-        "attributes": {name: k for k, name in enumerate(packed)},
-        "extensions": {EXTENSION: _KIND},
-    }
+    attributes = {name: k for k, name in enumerate(packed)}
+    primitive = {"mode": _POINTS, "attributes": attributes, "extensions": {EXTENSION: _KIND}}
     scene = {
         "asset": {"version": "2.0", "generator": "sarsplat"},
         "extensionsUsed": [EXTENSION],

@@ -191,29 +191,30 @@ def read_unplaced(dataset: Dataset, folder: Path, file: str) -> Float32[np.ndarr
 
 
 def sidecars_of(
-    dataset: Dataset, unchanged: Callable[[Path], bool]
+    dataset: Dataset, unchanged: Callable[[Path], tuple[bool, bool]]
 ) -> tuple[dict[str, Any], dict[str, Float32[np.ndarray, "rows columns"]], dict[PurePosixPath, bytes]]:
     """Read the sidecar files of a dataset's sets from its folder: its `source` with a list of chips, chips, masks.
 
     They are power by path in the dataset, and PNGs by path in the folder of masks. They are left out, with a warning,
-    unless `unchanged(folder)`: images that differ from the folder's may have another scale or position. Chips without
-    azimuth are also left out if there is no folder.
+    unless images are `unchanged(folder)`: chips if these are the same, masks if they are the same but for a factor.
     """
     listed, folder = unplaced_in(dataset.source, dataset), dataset.path
     names = mask_names(dataset, set(dataset.splits())) if folder is not None and (folder / MASKS).is_dir() else {}
     if not listed and not names:
         return dataset.source, {}, {}
     source = {name: value for name, value in dataset.source.items() if name != UNPLACED}
-    if folder is None or not unchanged(folder):
-        lost = [counted(len(listed), "chip") + " without azimuth"] * bool(listed) + ["masks"] * bool(names)
+    same, alike = (False, False) if folder is None else unchanged(folder)
+    lost = [counted(len(listed), "chip") + " without azimuth"] * bool(listed and not same)
+    if lost := lost + ["masks"] * bool(names and not alike):
         warnings.warn(
             f"left out {' and '.join(lost)} of {dataset.target}, because its images differ from those in its folder; "
             "copy the folder, or write them yourself",
             SarsplatWarning,
             stacklevel=4,
         )
+    if folder is None or not alike:
         return source, {}, {}
-    chips = [chip for chip in listed if chip["set"] in dataset.splits()]
+    chips = [chip for chip in listed if same and chip["set"] in dataset.splits()]
     masks = {}
     for name in names.values():
         with plain_os_errors("read", folder):

@@ -145,16 +145,17 @@ def _too_alike(counts: Int[np.ndarray, " v"], pixels: int) -> bool:
 def ground_levels_db(dataset: Dataset) -> tuple[Float64[np.ndarray, "3 v"], float]:
     """Return the deviations of each image's ground from a common law of the grazing angle θ, dB, by three quantiles.
 
-    The law is γ⁰ ~ sinⁿ θ, n by the median of slopes between grazing angles, at most that of real ground; also return
-    by how many dB that makes it flatter between the lowest and the highest angle.
+    The law is γ⁰ ~ sinⁿ θ, n by the median of slopes between grazing angles, weighted by their images, at most that of
+    real ground; also return by how many dB that makes it flatter between the lowest and the highest angle.
     """
     flat = np.array([beta0_of_gamma0(1.0, view.grazing_deg) for view in dataset.views])
     levels = to_db(np.quantile(dataset.power, _QUANTILES, axis=(1, 2)) / flat, least=LEAST_POWER)
     law = to_db(flat / np.hypot(1, flat), least=LEAST_POWER)  # sin θ, for flat is tan θ
-    steps, group = np.unique(np.round(law / _LAW_STEP_DB), return_inverse=True)
+    steps, group, counts = np.unique(np.round(law / _LAW_STEP_DB), return_inverse=True, return_counts=True)
     at = np.array([(law[group == k].mean(), np.median(levels[:, group == k])) for k in range(len(steps))])
     (run, rise), pairs = at.T[:, :, None] - at.T[:, None, :], np.triu_indices(len(at), 1)
-    slope = float(np.median(rise[pairs] / run[pairs])) if len(at) > 1 else 0.0
+    weights = np.minimum(counts[:, None], counts)[pairs]
+    slope = float(np.median(np.repeat(rise[pairs] / run[pairs], weights))) if len(at) > 1 else 0.0
     real = float(np.clip(slope, *_REAL_SLOPES))
     levels = levels - real * law
     return levels - np.median(levels, axis=1, keepdims=True), (slope - real) * float(np.ptp(law))
@@ -176,10 +177,8 @@ def levelled(dataset: Dataset) -> Dataset:
             return entry
         return replace(entry, stack=replace(entry.stack, noise=tuple(noise * factor for noise in entry.stack.noise)))
 
-    told = (
-        f"each image was multiplied by {gains_db.min():+.1f} to {gains_db.max():+.1f} dB, so that its ground has one "
-    )
-    source = {**dataset.source, "assumptions": [*dataset.source.get("assumptions", ()), f"{told}level with the others"]}
+    told = f"each image was multiplied by {gains_db.min():+.1f} to {gains_db.max():+.1f} dB, to one ground level"
+    source = {**dataset.source, "assumptions": [*dataset.source.get("assumptions", ()), told]}
     if "contradictions" in source:
         source["contradictions"] = [text for text in source["contradictions"] if _ONE_SCALE.split(",")[0] not in text]
     signal = dataset.signal
@@ -198,16 +197,16 @@ def _other_level(dataset: Dataset) -> list[str]:
     if len(dataset) < _MIN_IMAGES or not dataset.ground:
         return []
     deviations_db, excess_db = ground_levels_db(dataset)
-    if abs(excess_db) > _OTHER_DB:
-        return [
-            f"the ground gets {excess_db:+.0f} dB brighter from the lowest to the highest grazing angle than any real "
-            f"ground does, as of another scale at each angle; {_ONE_SCALE}"
-        ]
     same_sign = (np.sign(deviations_db) == np.sign(deviations_db[0])).all(axis=0)
     deviation_db = np.where(same_sign, np.sign(deviations_db[0]) * np.abs(deviations_db).min(axis=0), 0.0)
     typical = 1.4826 * float(np.median(np.abs(deviation_db)))
     limit = max(_OTHER_DB, _OTHER_DEVIATIONS * typical) if typical < _MAX_SPREAD_DB else typical / 2
     outliers = np.abs(deviation_db) > limit
+    if abs(excess_db) > _OTHER_DB and outliers.sum() != 1:
+        return [
+            f"the ground gets {excess_db:+.0f} dB brighter from the lowest to the highest grazing angle than any real "
+            f"ground does, as of another scale at each angle; {_ONE_SCALE}"
+        ]
     if not outliers.any():
         return []
     worst = int(np.where(outliers, np.abs(deviation_db), 0).argmax())

@@ -252,10 +252,10 @@ def _training_chips(chips: list[Chip], count: int | Literal["all"], depressions:
     """
     chosen: dict[int, Chip] = {}
     every: list[Chip] = []
+    counts = sorted(Counter(chip.depression for chip in chips).items())
     for first, depression in enumerate(depressions):
         candidates = sorted((chip for chip in chips if chip.depression == depression), key=lambda chip: chip.name)
         if not candidates:
-            counts = sorted(Counter(chip.depression for chip in chips).items())
             raise SarsplatError(
                 f"there are no chips at the training depression of {depression}°, but "
                 f"{' and '.join(f'{number:,} at {angle}°' for angle, number in counts)}; choose among them by "
@@ -268,9 +268,9 @@ def _training_chips(chips: list[Chip], count: int | Literal["all"], depressions:
         if not 1 <= len(numbers) <= len(candidates):
             share = "" if len(depressions) == 1 else f"{len(numbers)} of "
             are, most = "is" if len(candidates) == 1 else "are", len(candidates) * len(depressions)
-            others = sorted({chip.depression for chip in chips} - set(depressions))
-            more = others and len(numbers) > len(candidates)
-            also = f", or add {' or '.join(map(str, others))} to `train_depression`" if more else ""
+            enough = int(count) / (len(depressions) + 1)
+            others = [str(deg) for deg, k in counts if deg not in depressions and min(k, len(candidates)) >= enough]
+            also = f", or add {' or '.join(others)} to `train_depression`" * bool(others and numbers)
             raise SarsplatError(
                 f"{share}{counted(int(count), 'training view')} asked for, but there {are} "
                 f"{counted(len(candidates), 'chip')} at {depression}°; ask for {len(depressions)} to {most}{also}"

@@ -275,8 +275,8 @@ def read_values(
             stated = ", ".join(f"{meaning} {number:g}" for meaning, number in tags.factors)
             beside = f", scale {tags.scale:g} and offset {tags.offset:g}" if scaled else ""
             raise SarsplatError(
-                f"{name} states {stated}{beside}, which do not belong together for numbers that are {found}; give the "
-                "right ones as `scale` (1 leaves out those of the files), or in a column of the table"
+                f"{name} states {stated}{beside}, which do not belong together for numbers that are {found}; import "
+                "them with the right ones as `scale` (1 leaves out those of the files), or in a column of the table"
             )
     elif scaled:
         scale, offset = tags.scale, tags.offset

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from sarsplat.data import Dataset, DatasetEntry, read_dataset, write_dataset
-from sarsplat.data.sidecar import MASKS, UNPLACED, read_unplaced, unplaced_in
-from sarsplat.errors import SarsplatError, SarsplatWarning, counted
+from sarsplat.data.sidecar import UNPLACED, read_unplaced, unplaced_in
+from sarsplat.errors import SarsplatError, counted
 from sarsplat.geometry.view import seen_alike
 from sarsplat.recognition.located import Located
 
@@ -20,7 +19,7 @@ def write_back(located: Located, dataset: str | Path, out: str | Path, *, overwr
 
     Each has the azimuth of its labelled class, or of the class found if it has no label, with its standard deviation,
     by which training refines azimuths of training images. Azimuths in the dataset stay. Images whose azimuth is too
-    uncertain, that may be reversed, or whose class no run has, stay without. Masks are not copied, with a warning.
+    uncertain, that may be reversed, or whose class no run has, stay without.
 
     Parameters
     ----------
@@ -53,7 +52,7 @@ def write_back(located: Located, dataset: str | Path, out: str | Path, *, overwr
     for one in unplaced_in(before.source, before):
         power, index = read_unplaced(before, Path(dataset), one["file"]), found.get(one["name"])
         if index is None or not np.array_equal(power, located.chips[index].power) or not certain[index]:
-            left.append((one, power))
+            left.append(one)
             continue
         view = seen_alike(before.views, float(azimuth_deg[index]), one["grazing_deg"])
         entries.append(DatasetEntry(view, one["set"], one["name"], max(float(std_deg[index]), 0.01)))
@@ -63,8 +62,6 @@ def write_back(located: Located, dataset: str | Path, out: str | Path, *, overwr
         raise SarsplatError(
             f"no image of {dataset} gets an azimuth: none lacks one, was located, and is certain enough"
         )
-    if (Path(dataset) / MASKS).is_dir():
-        warnings.warn(f"left the masks of {dataset} out of {out}", SarsplatWarning, stacklevel=2)
     source = {name: value for name, value in before.source.items() if name != UNPLACED}
     source["assumptions"] = [
         *source.get("assumptions", []),
@@ -73,12 +70,11 @@ def write_back(located: Located, dataset: str | Path, out: str | Path, *, overwr
     if "chips" in source:
         source["chips"] = [*source["chips"], *chips]
     if left:
-        source[UNPLACED] = [one for one, _ in left]
+        source[UNPLACED] = left
     after = replace(
         before,
         entries=(*before.entries, *entries),
         power=np.concatenate([before.power, images]),
         source=source,
-        path=None,
     )
-    return write_dataset(out, after, pictures={one["file"]: power for one, power in left}, overwrite=overwrite)
+    return write_dataset(out, after, overwrite=overwrite)
