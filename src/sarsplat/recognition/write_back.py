@@ -61,7 +61,8 @@ def write_back(located: Located, dataset: str | Path, out: str | Path, *, overwr
         chips.append({name: one[name] for name in ("name", "serial", "depression_deg") if name in one})
     if not entries:
         raise SarsplatError(
-            f"no image of {dataset} gets an azimuth: none lacks one, was located, and is certain enough"
+            f"no image of {dataset} gets an azimuth: none lacks one, was located, is certain enough, and shows "
+            f"{' or '.join(located.classes)}, which the runs show"
         )
     if (Path(dataset) / MASKS).is_dir():
         warnings.warn(f"left the masks of {dataset} out of {out}", SarsplatWarning, stacklevel=2)
