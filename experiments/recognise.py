@@ -1,4 +1,4 @@
-"""Class and azimuth of MSTAR's chips by runs of a few chips a class, beside the rotated average of the same chips.
+"""Class and azimuth of MSTAR's chips by runs of a few chips a class, beside their rotated average, and with a network.
 
 `make tables ONLY=recognise` does all; this program does it for fewer classes, test chips or trainings. Writes
 docs/results/recognise.md, recognise-runs.csv with a line for every seed and arm, and the table of
@@ -207,13 +207,15 @@ def about(lines: Sequence[Mapping[str, str]]) -> str:
 def page(experiment: Experiment, lines: Sequence[Mapping[str, str]]) -> str:
     """The page: what was done, what it says, the table."""
     most = max((line["chips"] for line in lines), key=_number)
-    best, control = (
-        [line for line in lines if (line["chips"], line["arm"]) == (most, arm)] for arm in ("learned", "average")
+    best, control, network, both = (
+        [line for line in lines if (line["chips"], line["arm"]) == (most, arm)]
+        for arm in ("learned", "average", "network", "network × learned")
     )
     codes = " and ".join(dict.fromkeys(line["code"] for line in lines))
     found = (
         f"From {most} of a class, {_text('accuracy', best)} of chips are recognised (rotated average "
-        f"{_text('accuracy', control)}), and the azimuth is found to {_text('median azimuth error, °', best)} in the "
+        f"{_text('accuracy', control)}, network {_text('accuracy', network)}, its odds times these "
+        f"{_text('accuracy', both)}), and the azimuth is found to {_text('median azimuth error, °', best)} in the "
         f"median ({_text('median azimuth error, °', control)})."
     )
     return (
@@ -245,7 +247,10 @@ RECOGNISE = Experiment(
     "recognise",
     "Class and azimuth of measured chips",
     "*Flat ground* is uniform, of the same mean: learned ground knows the field where the chips were recorded. "
-    "*Rotated average*: the training chips, turned to each azimuth and averaged, in place of renderings.",
+    "*Rotated average*: the training chips, turned to each azimuth and averaged, in place of renderings. "
+    "*Network*: that of [the benchmark](chips.md), trained on the same chips, these turned, and chips that the "
+    "reconstructions generate; it sees the field, too. Powers of odds in products are chosen by other chips at "
+    f"{TRAINING}°, at most {LABELLED} of a class.",
     rows(),
     (),
     judged=(),
