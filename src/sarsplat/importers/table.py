@@ -161,7 +161,7 @@ def _unplaced(table: CsvTable, columns: Columns, rows: dict[Path, Row], kept: bo
         return set()
     warn_caller(
         f"{table.path} has no azimuth ({column}) for {counted(len(unplaced), 'picture')} of {len(rows)} (the first in "
-        f"line {rows[unplaced[0]][0]}), {'kept for `locate`' if kept else 'left out'}; fill in what you need"
+        f"line {rows[unplaced[0]][0]}), {'kept for `sarsplat locate`' if kept else 'left out'}; fill in what you need"
     )
     return set(unplaced)
 
