@@ -141,7 +141,9 @@ def scores_of(
 
 def _scores(found: Located, count: int, *names: str) -> dict[str, float]:
     """Round some of the scores of the first images."""
-    arrays = {name: value[:count] for name, value in vars(found).items() if isinstance(value, np.ndarray)}
+    arrays: dict[str, Any] = {
+        name: value[:count] for name, value in vars(found).items() if isinstance(value, np.ndarray)
+    }
     arrays.pop("labels", None)  # made of the others
     first = replace(found, chips=found.chips[:count], **arrays)
     scores, claimed = first.scores(), first.odds.max(axis=1)
@@ -197,8 +199,8 @@ def about(lines: Sequence[Mapping[str, str]]) -> str:
     images, calibrated = lines[0]["images"], lines[0]["calibrated by"]
     return (
         f"{classes} classes of MSTAR, each learned from a few chips at {TRAINING}°, evenly spaced in azimuth, by the "
-        f"preset `measured` with {'seed 0' if seeds == 1 else f'{seeds} seeds'}; {images} chips at {TEST}°, evenly "
-        f"chosen in azimuth, which is unknown. The odds are calibrated by {calibrated} other chips at {TRAINING}°; "
+        f"preset `measured` with {'seed 0' if seeds == 1 else f'{seeds} seeds'}; {images} chips at {TEST}°, located "
+        f"as if their azimuth were unknown. The odds are calibrated by {calibrated} other chips at {TRAINING}°; "
         "azimuth errors are those of the "
         f"labelled class. An image is {100 / int(images):.2g} %.\n"
     )

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before torch is loaded
 
@@ -91,7 +92,7 @@ def trained(dataset: Dataset, out: Path, seed: int) -> Run:
     """Train, or go on; print the nats of unseen chips."""
     config = replace(preset("measured"), seed=seed)
     run = reconstruct(dataset, config, out, quiet=True, resume=(out / "config.json").is_file())
-    images = (run.metrics or evaluate_run(run, points=False, quiet=True))["images"]
+    images: Any = (run.metrics or evaluate_run(run, points=False, quiet=True))["images"]
     scores = {name: round(images[name]["registered_nats_per_pixel"], 4) for name in sorted(images)}
     print(f"{out.parent.name}, {out.name}: {len(dataset.select('train'))} chips, nats {scores}", flush=True)
     return run

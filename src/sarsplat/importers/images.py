@@ -217,7 +217,8 @@ def with_unplaced(
 
     Raises if one does not show the whole grid.
     """
-    pictures, listed, grid = {}, [], dataset.grid
+    pictures: dict[str, Float32[np.ndarray, "rows columns"]] = {}
+    listed, grid = [], dataset.grid
     for image in (one for one in images if not one.placed):
         for own, shown in ((image.grid.azimuth_m, grid.azimuth_m), (image.grid.range_m, grid.range_m)):
             if max(own[0] - shown[0], shown[-1] - own[-1]) > _SAME_PLACE * (shown[1] - shown[0]):
