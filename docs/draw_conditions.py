@@ -20,6 +20,7 @@ from sarsplat import Dataset, DatasetEntry, ImageGrid, View, reconstruct
 from sarsplat.colours import ERROR, HEIGHT, POWER, colormap
 from sarsplat.evaluation import Yardstick, visible_surface
 from sarsplat.radiometry import to_db
+from sarsplat.scenes.scattering import add_speckle
 from sarsplat.scenes.simulate import simulate_images
 
 HERE = Path(__file__).resolve().parent
@@ -38,7 +39,7 @@ SAMPLES, SHOWN = 500_000, 150_000
 def main() -> None:
     """Simulate, reconstruct, draw."""
     mesh = cast(trimesh.Trimesh, trimesh.util.concatenate(SCENES["three vehicles"][1]()))
-    power = simulate_images(mesh, VIEWS, GRID, ground_gamma0=0.05, looks=1)
+    power = add_speckle(simulate_images(mesh, VIEWS, GRID, ground_gamma0=0.05), 1, np.random.default_rng(0))
     entries = tuple(DatasetEntry(view, "train", f"{k:03}") for k, view in enumerate(VIEWS))
     run = reconstruct(Dataset(GRID, entries, power, target="three vehicles", looks=1.0, ground=True))
     surface = visible_surface(mesh, VIEWS, Yardstick.of(GRID).ray_spacing_m, samples=SAMPLES).samples

@@ -21,6 +21,7 @@ from PIL import Image
 
 from sarsplat import (
     View,
+    add_speckle,
     evaluate_run,
     import_mstar,
     mstar_grid,
@@ -49,9 +50,9 @@ def make_chips(folder: Path) -> None:
         views,
         mstar_grid(),
         ground_gamma0=0.04,
-        looks=1,
         ray_spacing=0.08,
     )
+    power = add_speckle(power, 1, np.random.default_rng(0))
     folder.mkdir(exist_ok=True)
     with (folder / "labels.csv").open("w", newline="") as file:
         table = csv.writer(file)

@@ -18,6 +18,7 @@ from sarsplat import (
     ImageGrid,
     SarImage,
     View,
+    add_speckle,
     locate,
     preset,
     reconstruct,
@@ -40,7 +41,8 @@ rng = np.random.default_rng(0)
 def chips(name: str, views: list[View], seed: int) -> list[SarImage]:
     """Single-look chips of a built-in vehicle on grass."""
     mesh = target_mesh(name)
-    power = simulate_images(mesh, views, grid, ground_gamma0=0.05, looks=1, seed=seed)
+    power = simulate_images(mesh, views, grid, ground_gamma0=0.05)
+    power = add_speckle(power, 1, np.random.default_rng(seed))
     return [SarImage(one, view, grid) for one, view in zip(power, views)]
 
 

@@ -49,9 +49,9 @@ def scene(law: Scattering) -> Gaussians:
 def test_registered_it_is_trained_saved_and_read(small_box: Dataset, tmp_path: Path) -> None:
     short = replace(preset("default"), iterations=40, gaussians=200, points=FEW_POINTS)
     with pytest.raises(SarsplatError, match=r"scattering is 'fan'; it must be one of .* registered first"):
-        reconstruct(small_box, short, scattering="fan", quiet=True)
+        replace(short, scattering="fan")
     assert register_scattering(Fan) is Fan
-    run = reconstruct(small_box, short, tmp_path / "run", scattering="fan", quiet=True)
+    run = reconstruct(small_box, replace(short, scattering="fan"), tmp_path / "run", quiet=True)
     assert run.history[-1].loss < 0.8 * run.history[0].loss
     assert run.config.scattering == "fan"
     law = Run.load(tmp_path / "run").gaussians.scattering
@@ -170,9 +170,7 @@ def test_what_cannot_be_trained(small_box: Dataset, monkeypatch: pytest.MonkeyPa
     register_scattering(Second)
     register_scattering(Second)  # as a notebook's cell does that runs again
     with pytest.raises(SarsplatError, match="cannot start with the scattering law Second"):
-        reconstruct(small_box, replace(preset("default"), iterations=1), scattering=Second.kind, quiet=True)
-    with pytest.raises(SarsplatError, match="sar-nerf uses no scattering; omit 'harmonics'"):
-        reconstruct(small_box, method="sar-nerf", scattering=Harmonics.kind, quiet=True)
+        reconstruct(small_box, replace(preset("default"), iterations=1, scattering=Second.kind), quiet=True)
 
 
 @pytest.mark.usefixtures("forgotten")
@@ -189,7 +187,7 @@ def test_a_law_that_starts_with_something_else_is_refused(small_box: Dataset, mo
     register_scattering(Spoilt)
     monkeypatch.setattr(Spoilt, "initial", classmethod(lambda cls, count, gamma0, p_min: start(count)))
     with pytest.raises(SarsplatError, match=rf"Spoilt.initial\(\d+, …\) ({said}); it must return a Spoilt whose"):
-        reconstruct(small_box, replace(preset("default"), iterations=1), scattering="spoilt", quiet=True)
+        reconstruct(small_box, replace(preset("default"), iterations=1, scattering="spoilt"), quiet=True)
 
 
 def test_the_command_line_knows_the_law_of_a_package(small_box: Dataset, tmp_path: Path, beside) -> None:

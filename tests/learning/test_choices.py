@@ -12,7 +12,18 @@ import torch
 from scipy.ndimage import gaussian_filter
 
 from made import dataset_of
-from sarsplat import PRESETS, Dataset, ImageGrid, Run, SarsplatError, View, reconstruct, render, simulate_images
+from sarsplat import (
+    PRESETS,
+    Dataset,
+    ImageGrid,
+    Run,
+    SarsplatError,
+    View,
+    add_speckle,
+    reconstruct,
+    render,
+    simulate_images,
+)
 from sarsplat.learning import evidence, scene_frame
 from sarsplat.learning.device_choice import quicker_device
 from sarsplat.learning.evidence import chosen, differences
@@ -131,7 +142,8 @@ def scene() -> Dataset:
     pytest.importorskip("embreex")
     mesh = trimesh.creation.box((4.0, 2.5, 1.5))
     mesh.apply_translation([0.5, 0, 0.75])
-    power = simulate_images(mesh, VIEWS, GRID, ground_gamma0=0.05, looks=1, ray_spacing=0.05)
+    power = simulate_images(mesh, VIEWS, GRID, ground_gamma0=0.05, ray_spacing=0.05)
+    power = add_speckle(power, 1, np.random.default_rng(0))
     return dataset_of(GRID, [(view, "train") for view in VIEWS], power, looks=1.0, ground=True)
 
 

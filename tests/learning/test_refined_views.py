@@ -12,7 +12,19 @@ from jaxtyping import Float64
 
 from made import FEW_POINTS, dataset_of
 from made_runs import assert_same
-from sarsplat import Dataset, ImageGrid, Run, SarImage, SarsplatError, Turn, View, preset, reconstruct, simulate_images
+from sarsplat import (
+    Dataset,
+    ImageGrid,
+    Run,
+    SarImage,
+    SarsplatError,
+    Turn,
+    View,
+    add_speckle,
+    preset,
+    reconstruct,
+    simulate_images,
+)
 from sarsplat.data import load_checkpoint, save_checkpoint
 from sarsplat.geometry.turn import turned
 from sarsplat.learning.strategies.azimuths import AZIMUTH_OFFSETS, AzimuthRefinement, lowest
@@ -37,7 +49,7 @@ def images() -> np.ndarray:
     tower.apply_translation([-3, 0, 0.75])
     mesh = trimesh.util.concatenate([hull, tower])
     views = [View(azimuth, 35.0) for azimuth in AROUND]
-    return simulate_images(mesh, views, GRID, ground_gamma0=0.1, looks=1.0, seed=0)
+    return add_speckle(simulate_images(mesh, views, GRID, ground_gamma0=0.1), 1, np.random.default_rng(0))
 
 
 def labelled(images: np.ndarray, azimuths: Sequence[float], std_deg: Sequence[float]) -> Dataset:

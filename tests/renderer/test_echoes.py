@@ -152,7 +152,7 @@ def test_the_cpu_engine_agrees_with_the_reference(name: str) -> None:
     scene = SCENES[name]()
     expected = everything(scene, torch.float64, partial(render, engine="reference"))
     for instruction_set in AVAILABLE:
-        by = partial(render, engine="cpu", instruction_set=instruction_set)
+        by = partial(render, engine=f"cpu-{instruction_set}")
         check_agreement(everything(scene, torch.float32, by), expected)
 
 

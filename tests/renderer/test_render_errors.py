@@ -66,12 +66,11 @@ ARGUMENTS: list[tuple[tuple[str, ...], dict[str, object], str]] = [
     (PLAIN, {"first_return_depth": 0.0}, "positive two-way"),
     (PLAIN, {"first_return_depth": NAN}, "positive two-way"),
     (PLAIN, {"amplitudes": torch.ones(3, 10, 1).to(torch.complex64)}, r"complex64.* sarsplat.splat"),
-    (("gpu",), {}, "choose one of auto, cpu, cuda, reference"),
-    (CPU, {"instruction_set": "sse9"}, "choose one of auto, base, avx2, avx512"),
+    (("gpu",), {}, "choose one of auto, cpu, .*cuda, reference"),
     (AUTO, {"views": []}, "there are no views"),
     (CPU, {"gaussians": TEN.to(torch.float64)}, "means is torch.float64 on cpu; the CPU engine takes"),
     (CPU, {"gain": torch.ones(3).double()}, "gain is torch.float64"),
-    (REFERENCE, {"plane_gradients": True}, r"\(cpu, cuda\)"),
+    (REFERENCE, {"plane_gradients": True}, r"\(cpu, .*cuda\)"),
     (REFERENCE, {"gaussians": cloud(60, 0), "rays": RayGrid((0.001, 0.001))}, "use coarser rays"),
     (AUTO, {"views": UNUSUAL[:1], "ground": SLOPE}, "tilted by 25°, under which only level ground can be rendered"),
     (PLAIN, {"views": STRETCHED, "first_return_depth": 0.5}, "stretched"),
@@ -174,7 +173,7 @@ def test_the_reference_takes_them_but_for_vmap():
 
 
 # ---- values in any argument: refused by name, or proven harmless -----------------------------------------------------
-ENGINES = [("cpu", name) for name in cpu.instruction_sets()] + [("reference", "auto")]
+ENGINES = [f"cpu-{name}" for name in cpu.instruction_sets()] + ["reference"]
 TINY, MIN_NORMAL, LARGEST = 1e-45, 1.1754944e-38, 3.4028234e38
 
 
@@ -190,15 +189,15 @@ NAMED = ["means", "quaternions", "scales", "optical_depth", "scattering", "shift
 def with_value(argument: str, index: int, value: float, engine: str) -> tuple[Scene, dict[str, torch.Tensor]]:
     """The scene with one number of one argument replaced, as leaves of the engine's dtype."""
     scene = DIRECT if argument == "amplitudes" else SCENE
-    leaves = scene.leaves(torch.float32 if engine == "cpu" else torch.float64)
+    leaves = scene.leaves(torch.float64 if engine == "reference" else torch.float32)
     with torch.no_grad():
         leaves[argument].view(-1)[index % leaves[argument].numel()] = value
     return scene, leaves
 
 
-def run(scene: Scene, leaves: dict[str, torch.Tensor], engine: str, instruction_set: str) -> list[torch.Tensor]:
+def run(scene: Scene, leaves: dict[str, torch.Tensor], engine: str) -> list[torch.Tensor]:
     """Images, cross-sections and all gradients."""
-    rendering = scene.call(render, leaves, engine=engine, instruction_set=instruction_set)
+    rendering = scene.call(render, leaves, engine=engine)
     outputs = [rendering.images, rendering.cross_sections]
     generator = torch.Generator().manual_seed(3)
     loss = sum((output * torch.randn(output.shape, generator=generator)).sum() for output in outputs)
@@ -206,22 +205,22 @@ def run(scene: Scene, leaves: dict[str, torch.Tensor], engine: str, instruction_
     return [*(output.detach() for output in outputs), *(g for g in gradients if g is not None)]
 
 
-@pytest.mark.parametrize(("engine", "instruction_set"), ENGINES)
+@pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("argument", NAMED)
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_what_is_not_finite_is_refused_by_name(argument, value, engine, instruction_set):
+def test_what_is_not_finite_is_refused_by_name(argument, value, engine):
     for index in (0, 7):
         with pytest.raises(SarsplatError, match=rf"^{argument}\[.*\] is .*(nan|inf).*; it must be "):
-            run(*with_value(argument, index, value, engine), engine, instruction_set)
+            run(*with_value(argument, index, value, engine), engine)
 
 
-@pytest.mark.parametrize(("engine", "instruction_set"), ENGINES)
+@pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("argument", [name for name in NAMED if name != "scales"])
 @pytest.mark.parametrize("value", [TINY, MIN_NORMAL, -0.0])
-def test_denormals_are_zeros(argument, value, engine, instruction_set):
+def test_denormals_are_zeros(argument, value, engine):
     """What lies below the least normal number changes nothing, in values or gradients."""
-    found = run(*with_value(argument, 7, value, engine), engine, instruction_set)
-    expected = run(*with_value(argument, 7, 0.0, engine), engine, instruction_set)
+    found = run(*with_value(argument, 7, value, engine), engine)
+    expected = run(*with_value(argument, 7, 0.0, engine), engine)
     for mine, theirs in zip(found, expected, strict=True):
         assert torch.isfinite(mine).all()
         assert float((mine - theirs).norm()) <= 1e-6 * float(theirs.norm())
@@ -230,14 +229,14 @@ def test_denormals_are_zeros(argument, value, engine, instruction_set):
 NUMBERS = [0.0, TINY, MIN_NORMAL, MIN_SCALE, 1e9, 1e15, LARGEST, -LARGEST, 1e-20, 1e20, -1.0, 1.0]
 
 
-@pytest.mark.parametrize(("engine", "instruction_set"), ENGINES)
+@pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("argument", NAMED)
-def test_any_number_is_refused_by_name_or_gives_finite_results(argument, engine, instruction_set):
+def test_any_number_is_refused_by_name_or_gives_finite_results(argument, engine):
     rng, large = random.Random(argument), 5.0 if argument == "scales" else 40.0
     for value in [*NUMBERS, large, *struct.unpack("8f", rng.randbytes(32))]:
         scene, leaves = with_value(argument, rng.randrange(200), value, engine)
         try:
-            results = run(scene, leaves, engine, instruction_set)
+            results = run(scene, leaves, engine)
         except SarsplatError as error:
             words = ("too many rays", "needs rays", "pairs") if argument in ("means", "scales") else ()
             assert str(error).startswith(f"{argument}[") or any(word in str(error) for word in words), (value, error)
@@ -260,5 +259,5 @@ def test_a_cotangent_that_is_not_finite_stays_in_its_view():
 def test_the_scenes_are_seen():
     """Otherwise nothing above could go wrong."""
     for scene in (SCENE, DIRECT):
-        results = run(scene, scene.leaves(torch.float32), "cpu", "auto")
+        results = run(scene, scene.leaves(torch.float32), "cpu")
         assert all(float(result.norm()) > 0 for result in results)

@@ -9,23 +9,16 @@ import torch
 from compared import relative
 from named_scenes import MATRIX, VIEWS, cloud, facing, with_scales
 
-from sarsplat import Gaussians, Harmonics, ImageGrid, RayGrid, Rendering, View, radar_frame
-from sarsplat import render as render_with
+from sarsplat import Gaussians, Harmonics, ImageGrid, RayGrid, View, radar_frame, render
 from sarsplat.gaussians.gaussians import covariance, rotation_matrix
 from sarsplat.gaussians.law_harmonics import harmonic_basis
 from sarsplat.renderer.engines import cpu
 
-ENGINES = [f"cpu {name}" for name in cpu.instruction_sets()] + ["reference auto"]
-DTYPE = {name: torch.float64 if name == "reference auto" else torch.float32 for name in ENGINES}
-EXACT = {name: 1e-11 if name == "reference auto" else 2e-5 for name in ENGINES}
+ENGINES = [f"cpu-{name}" for name in cpu.instruction_sets()] + ["reference"]
+DTYPE = {name: torch.float64 if name == "reference" else torch.float32 for name in ENGINES}
+EXACT = {name: 1e-11 if name == "reference" else 2e-5 for name in ENGINES}
 
 pytestmark = pytest.mark.parametrize("engine", ENGINES)
-
-
-def render(*arguments: object, engine: str, **options: object) -> Rendering:
-    """With one engine and one of its instruction sets."""
-    name, instruction_set = engine.split()
-    return render_with(*arguments, engine=name, instruction_set=instruction_set, **options)
 
 
 def sheet(origin, along, across, counts, gamma0: float, spacing: float) -> Gaussians:

@@ -50,19 +50,6 @@ def test_both_sources_stand_on_the_same_ground() -> None:
         assert np.corrcoef(np.sqrt(ray).ravel(), np.sqrt(splat).ravel())[0, 1] > 0.99
 
 
-def test_speckle_depends_on_the_seed_and_may_exclude_images() -> None:
-    clean, first, again, other, mixed = (
-        simulate_images(BOX, VIEWS, GRID, ground_gamma0=0.5, looks=looks, seed=seed, clean=excluded)
-        for looks, seed, excluded in ((None, 1, []), (4, 1, []), (4, 1, []), (4, 2, []), (4, 1, [1]))
-    )
-    np.testing.assert_array_equal(first, again)
-    np.testing.assert_array_equal(mixed, [first[0], clean[1]])
-    assert (first != other).any()
-    ratio = first[clean > 0.01] / clean[clean > 0.01]
-    assert ratio.mean() == pytest.approx(1, abs=0.1)
-    assert ratio.var() == pytest.approx(0.25, abs=0.08)
-
-
 def test_a_scene_twenty_times_as_large_has_the_same_images() -> None:
     """β⁰ has no length in it, and pieces and rays follow from the pixels."""
     grid = ImageGrid(36, 36, spacing_m=(6.0, 6.0), resolution_m=(6.0, 6.0))

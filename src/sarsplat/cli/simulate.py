@@ -158,10 +158,12 @@ def _stacks(options: Options, scene: _Scene, stack: Stack, about: dict[str, Any]
 
 def _images(options: Options, scene: _Scene, about: dict[str, Any]) -> Dataset:
     """Simulate single images."""
+    import numpy as np
+
     from sarsplat.data import Dataset
     from sarsplat.progress import progress
     from sarsplat.scenes.raycast import ray_error_db
-    from sarsplat.scenes.scattering import part_reflectivity
+    from sarsplat.scenes.scattering import add_speckle, generator, part_reflectivity
     from sarsplat.scenes.simulate import simulate_images, simulation_record
 
     sensor, protocol, reflectivity_db = options.sensor, options.views.protocol, options.target.reflectivity
@@ -181,15 +183,16 @@ def _images(options: Options, scene: _Scene, about: dict[str, Any]) -> Dataset:
                 advice = "; give a smaller --ray-spacing" * (error_db > _TOLERABLE_DB)
                 verdict = f"is right to {error_db:.2g} dB RMS{advice}"
             shown.note(f"rays {physics['ray_spacing']:.3g} m apart along edges: the first image {verdict}")
-        images = simulate_images(
+        speckle = np.ones((len(scene.splits), scene.grid.rows, scene.grid.columns), np.float32)
+        if sensor.looks is not None:  # first, so that an invalid number of looks raises before minutes of ray casting
+            speckle = add_speckle(speckle, sensor.looks, generator(options.seed, "speckle"))
+            speckle[[sensor.clean_tests and split != "train" for _, split in scene.splits]] = 1
+        images = speckle * simulate_images(
             scene.surface,
             scene.views,
             scene.grid,
             source=options.echoes.source,
-            seed=options.seed,
             **physics,
-            looks=sensor.looks,
-            clean=[index for index, (_, split) in enumerate(scene.splits) if sensor.clean_tests and split != "train"],
             progress=shown.update,
             power_by_echo=power_by_echo,
         )

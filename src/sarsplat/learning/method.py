@@ -29,8 +29,6 @@ class Inputs:
 
     masks: Path | None = None
     """Folder of masks of the training images."""
-    scattering: str | None = None
-    """Kind of the scattering law, overriding the settings."""
     loss: Loss | None = None
     """Loss, overriding the settings."""
     strategies: Sequence[Any] = ()

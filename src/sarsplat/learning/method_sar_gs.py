@@ -56,7 +56,7 @@ class SarGs(Method):
     name = DEFAULT_METHOD
     title = "sarsplat"
     settings = Config
-    takes = frozenset({"scattering", "loss", "strategies"})
+    takes = frozenset({"loss", "strategies"})
     watchable = True
 
     def preset(self, name: str, dataset: Dataset) -> Config:
@@ -80,8 +80,6 @@ class SarGs(Method):
         begun: Callable[[], Reconstruction] | None,
     ) -> Trainer:
         """Return a new trainer; a custom loss gives its name to the settings."""
-        if inputs.scattering is not None:
-            config = replace(config, scattering=inputs.scattering)
         if inputs.loss is not None:
             name = getattr(inputs.loss, "__name__", type(inputs.loss).__name__)
             config = replace(config, loss=f"own {name}" if name in LOSSES else name)

@@ -61,7 +61,6 @@ def render(
     plane_gradients: bool = False,
     bounds: Bounds | None = None,
     engine: str = "auto",
-    instruction_set: str = "auto",
 ) -> Rendering:
     """Render SAR images of Gaussians in several views.
 
@@ -101,12 +100,10 @@ def render(
         Limits that the Gaussians keep. With them the CUDA engine does not synchronise, and reports values out of range
         and Gaussians beyond them in `bounds.check()`; narrow limits are faster, for its arrays hold the worst case.
         Other engines ignore them, and so do renderings with `GroundBounce`, whose mirror image is beyond them.
-    engine : {"auto", "cpu", "cuda", "reference"}
+    engine : {"auto", "cpu", "cpu-base", "cpu-avx2", "cpu-avx512", "cuda", "reference"}
         "auto" is the CPU engine for float32 on the CPU, the CUDA engine for float32 on a GPU where a small scene with
         gradients agrees with the CPU's, and the reference otherwise; the first time, the logger "sarsplat" says which
-        it took.
-    instruction_set : {"auto", "base", "avx2", "avx512"}
-        Force the CPU engine below the best this processor has.
+        it took. "cpu" uses the widest instruction set of this processor unless one is named.
 
     Returns
     -------
@@ -131,11 +128,7 @@ def render(
     """
     rays = rays or RayGrid.for_image(grid)
     views = views if isinstance(views, ChosenViews) else tuple(views)
-    check_options(
-        imaging_weight=imaging_weight,
-        first_return_depth=first_return_depth,
-        instruction_set=instruction_set,
-    )
+    check_options(imaging_weight=imaging_weight, first_return_depth=first_return_depth)
     check_shapes(gaussians, views, amplitudes, shift, gain)
     channels = len(gaussians.scattering.channels) if amplitudes is None else amplitudes.shape[2]
     echoes = (*(() if ground is None else (GroundEcho(ground),)), *echoes)
@@ -150,7 +143,7 @@ def render(
         raise SarsplatError("a view is stretched, which has no ground, echoes or ray maps; leave these out")
     if not stretched:
         options |= {"echoes": echoes, "first_return_depth": first_return_depth}
-    if (new_pass := passes_for(engine, tensors, grid, instruction_set)) is not None:
+    if (new_pass := passes_for(engine, tensors, grid)) is not None:
         if stretched:
             check_values(by_view)  # the engine checks the rest
             return render_stretched(Steps(new_pass), gaussians, views, grid, **options, plane_gradients=plane_gradients)

@@ -10,8 +10,6 @@ from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians
 from sarsplat.gaussians.gaussians import check_same_kind
 from sarsplat.geometry import ImageGrid, View
 
-INSTRUCTION_SETS = ("auto", "base", "avx2", "avx512")
-
 MAX_SCALE = 1e6
 """Maximum scale, m: squares of larger variances overflow float32."""
 
@@ -70,20 +68,10 @@ def check_channels(name: str, tensor: Tensor, views: int, gaussians: int) -> Non
         )
 
 
-def check_options(
-    *,
-    imaging_weight: str = "area",
-    first_return_depth: float | None = None,
-    instruction_set: str = "auto",
-) -> None:
+def check_options(*, imaging_weight: str = "area", first_return_depth: float | None = None) -> None:
     """Raise if an option is not among its choices, or out of range."""
-    choices = (
-        ("imaging_weight", imaging_weight, ("area", "peak")),
-        ("instruction_set", instruction_set, INSTRUCTION_SETS),
-    )
-    for name, value, allowed in choices:
-        if value not in allowed:
-            raise SarsplatError(f"{name} {value!r} is unknown; choose one of {', '.join(allowed)}")
+    if imaging_weight not in ("area", "peak"):
+        raise SarsplatError(f"imaging_weight {imaging_weight!r} is unknown; choose one of area, peak")
     if first_return_depth is not None and not 0 < first_return_depth < float("inf"):
         raise SarsplatError(f"first_return_depth {first_return_depth} must be a positive two-way optical depth")
 

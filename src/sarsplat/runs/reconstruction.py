@@ -39,7 +39,6 @@ def reconstruct(
     *,
     method: str = DEFAULT_METHOD,
     masks: str | Path | None = None,
-    scattering: str | None = None,
     loss: Loss | None = None,
     strategies: Sequence[Any] = (),
     device: str = "auto",
@@ -66,9 +65,6 @@ def reconstruct(
         Name of the method, one of `METHODS`.
     masks : str or Path, optional
         Folder of masks of the training images (`read_masks`), for methods that learn from them; stored in the run.
-    scattering : str, optional
-        For `sar-gs`, instead of the configuration's: kind of a law of scattering, built in ("harmonics",
-        "normal-lobes") or registered (`sarsplat.gaussians.register_scattering`).
     loss : callable, optional
         For `sar-gs`, instead of the configuration's: `loss(rendered, truth)` takes two float32 tensors
         [V, rows, columns] of β⁰, linear power, and returns a differentiable scalar. The first call is for black images,
@@ -108,7 +104,7 @@ def reconstruct(
         another process is writing it, or dataset, method or settings differ from those of the run to resume.
     """
     chosen = method_named(method)
-    inputs = Inputs(None if masks is None else Path(masks), scattering, loss, tuple(strategies))
+    inputs = Inputs(None if masks is None else Path(masks), loss, tuple(strategies))
     chosen.refuse_others(inputs)
     target_device = device_named(device)
     dataset = dataset if isinstance(dataset, Dataset) else read_dataset(Path(dataset))

@@ -20,10 +20,8 @@ from sarsplat.scenes.placement import warn_below_ground
 from sarsplat.scenes.raycast import RayCaster, default_ray_spacing
 from sarsplat.scenes.scattering import (
     ScatteringLaw,
-    add_speckle,
     check_ground,
     check_reflectivity,
-    generator,
     raise_first,
 )
 from sarsplat.scenes.splat_truth import law_by_ground, law_scattering, surface_gaussians
@@ -47,13 +45,10 @@ def simulate_images(
     bounces: int = 1,
     ground_reflectivity: float | None = None,
     ray_spacing: float | None = None,
-    looks: float | None = None,
-    clean: Sequence[int] = (),
-    seed: int = 0,
     progress: Callable[[float], object] | None = None,
     power_by_echo: dict[str, float] | None = None,
 ) -> Float32[np.ndarray, "v {grid.rows} {grid.columns}"]:
-    """Simulate SAR images of a mesh from every view.
+    """Simulate SAR images of a mesh from every view, without speckle (`add_speckle`).
 
     Parameters
     ----------
@@ -78,17 +73,11 @@ def simulate_images(
         With second bounces on ground: |Γ|², the share of the power that it reflects like a mirror, 0 to 1.
     ray_spacing : float, optional
         Spacing of the rays in ray casting, m; `default_ray_spacing` unless given.
-    looks : float, optional
-        Number of looks of the speckle; none unless given.
-    clean : sequence of int
-        Indices of views without speckle; the speckle of the others does not depend on this.
-    seed : int
-        Seed of the speckle.
     progress : callable, optional
         Called with the number of finished images after each. Ray casting of several views at once also calls it several
         times a second with fractions.
     power_by_echo : dict, optional
-        With second bounces, filled with the share of each kind of echo in the power of all images without speckle.
+        With second bounces, filled with the share of each kind of echo in the power of all images.
 
     Returns
     -------
@@ -109,7 +98,6 @@ def simulate_images(
     reflectivity = check_reflectivity(reflectivity, len(mesh.faces))
     check_ground(ground_gamma0, terrain, bounces, ground_reflectivity)
     warn_below_ground(mesh, grid, ground_gamma0, terrain)
-    speckle = generator(seed, "speckle")
     splat = source == "splat"
     raise_first(
         (source not in ("raycast", "splat"), f"`source` is {source!r}; choose 'raycast' or 'splat'"),
@@ -134,12 +122,9 @@ def simulate_images(
         images, powers = in_order(caster.image, views, progress), caster.power_by_echo
     else:
         images = _splat(mesh, views, grid, law, reflectivity, ground_gamma0, terrain, ground_reflectivity, powers)
-    stack = np.ones((len(views), grid.rows, grid.columns), dtype=np.float32)
-    if looks is not None:  # first, so that an invalid number of looks raises before minutes of ray casting
-        stack = add_speckle(stack, looks, speckle)
-        stack[list(clean)] = 1.0
+    stack = np.empty((len(views), grid.rows, grid.columns), dtype=np.float32)
     for index, image in enumerate(images):
-        stack[index] *= image
+        stack[index] = image
         if progress is not None:
             progress(index + 1)
     if power_by_echo is not None and powers:
@@ -161,7 +146,7 @@ def simulation_record(
     power_by_echo: dict[str, float] | None = None,
     ray_error_db: float | None = None,
 ) -> dict[str, Any]:
-    """Return the arguments of `simulate_images`, except speckle, as JSON for a dataset's `source`.
+    """Return the arguments of `simulate_images` and the seed of all that is random, as JSON for a dataset's `source`.
 
     `ray_error_db` is the result of `ray_error_db`, and `power_by_echo` that of `simulate_images`. Bounces are left out
     unless there are second ones.

@@ -25,10 +25,10 @@ Tensors = Mapping[str, Tensor | None]
 class Engine:
     """Engine of one kind of device."""
 
-    device_type: str
-    """Device of float32 tensors for which "auto" means this engine."""
-    prepare: Callable[[Tensors, ImageGrid | None, str], NewPass]
-    """Return a constructor of passes for tensors, a grid and an instruction set, or raise a `SarsplatError`."""
+    device_type: str | None
+    """Device of float32 tensors for which "auto" means this engine; None: it never does."""
+    prepare: Callable[[Tensors, ImageGrid | None], NewPass]
+    """Return a constructor of passes for tensors and a grid, or raise a `SarsplatError`."""
     takes_bounds: bool = False
     """True if passes can be made with a `Capacity`, and then do not synchronise."""
     recorder: Callable[[torch.device], Recorder] | None = None
@@ -36,12 +36,12 @@ class Engine:
     """Return the reason why "auto" must not use the engine on a device, or ""."""
 
 
-def _on_cpu(tensors: Tensors, grid: ImageGrid | None, instruction_set: str) -> NewPass:
+def _on_cpu(tensors: Tensors, grid: ImageGrid | None, instruction_set: str = "auto") -> NewPass:
     check_for_cpu(grid, tensors)
     return partial(cpu.Pass, instruction_set)
 
 
-def _on_cuda(tensors: Tensors, grid: ImageGrid | None, instruction_set: str) -> NewPass:
+def _on_cuda(tensors: Tensors, grid: ImageGrid | None) -> NewPass:
     require_cuda()
     return partial(cuda.Pass, device(check_for_cuda(tensors)))
 
@@ -52,21 +52,20 @@ def _recorder(where: torch.device) -> Recorder:
 
 ENGINES = {
     "cpu": Engine("cpu", _on_cpu),
+    **{f"cpu-{name}": Engine(None, partial(_on_cpu, instruction_set=name)) for name in cpu.INSTRUCTION_SETS[1:]},
     "cuda": Engine("cuda", _on_cuda, takes_bounds=True, recorder=_recorder, objection=objection),
 }
 """Engines by name; further names are "reference", which is plain torch, and "auto"."""
 
 
-def passes_for(
-    name: str, tensors: Tensors, grid: ImageGrid | None = None, instruction_set: str = "auto"
-) -> NewPass | None:
+def passes_for(name: str, tensors: Tensors, grid: ImageGrid | None = None) -> NewPass | None:
     """Return the constructor of passes of an engine over these tensors and images on the grid; None for plain torch.
 
     "auto" fits the dtype and the device of the first tensor. `Operation.on` also uses plain torch for operations that
     the engine does not have. Raise if the engine is unknown, is not available, or does not take the tensors.
     """
     chosen = chosen_engine(name, next(tensor for tensor in tensors.values() if tensor is not None))
-    return ENGINES[chosen].prepare(tensors, grid, instruction_set) if chosen in ENGINES else None
+    return ENGINES[chosen].prepare(tensors, grid) if chosen in ENGINES else None
 
 
 def recorder_for(like: Tensor) -> Recorder | None:

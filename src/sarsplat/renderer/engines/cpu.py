@@ -13,12 +13,14 @@ from typing import Any
 import torch
 
 from sarsplat.errors import SarsplatError, SarsplatWarning
-from sarsplat.renderer.checks import INSTRUCTION_SETS
 from sarsplat.renderer.engines.abi import HEADER, api
 from sarsplat.renderer.engines.passes import within
 
 LIBRARY = Path(__file__).parents[1] / ("_engine.dll" if sys.platform == "win32" else "_engine.so")
 """Compiled engine."""
+
+INSTRUCTION_SETS = ("auto", "base", "avx2", "avx512")
+"""Names by the engine's numbers; 0 is the widest of this processor."""
 
 _TORCH = {"win32": "torch_cpu.dll", "darwin": "libtorch_cpu.dylib"}.get(sys.platform, "libtorch_cpu.so")
 
@@ -104,8 +106,8 @@ def _isa(instruction_set: str) -> int:
     supported = INSTRUCTION_SETS[1 : library().sg_supported_isa() + 1]
     if instruction_set not in ("auto", *supported):
         raise SarsplatError(
-            f"instruction_set {instruction_set!r} is not supported by this processor; use 'auto' or at most "
-            f"{supported[-1]!r}"
+            f"engine='cpu-{instruction_set}' needs an instruction set that this processor lacks; use 'cpu' or at most "
+            f"'cpu-{supported[-1]}'"
         )
     what = "this processor" if instruction_set == "auto" else f"the instruction set {instruction_set!r}"
     raise SarsplatError(
