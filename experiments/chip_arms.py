@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -32,6 +32,9 @@ OPTIONS: dict[str, dict[str, Any]] = {
 }
 """Of `sarsplat.chips`: grazing angles with the tests' 15° among them, or around the training's alone."""
 
+METHOD_OF = dict.fromkeys(OPTIONS, DEFAULT_METHOD) | {SAR_NERF: SAR_NERF}
+"""Method by whose reconstructions chips of a kind are generated."""
+
 ENCODING = Encoding(near="top")
 _GOLDEN = (5**0.5 - 1) / 2
 _DARK = 1e-6  # of the brightest pixel: a logarithm is taken
@@ -49,41 +52,44 @@ class Arm:
     @property
     def methods(self) -> tuple[str, ...]:
         """By which classes must have been reconstructed."""
-        needed = dict.fromkeys(OPTIONS, DEFAULT_METHOD) | {SAR_NERF: SAR_NERF}
-        return tuple(dict.fromkeys(needed[kind] for kind in self.others if kind in needed))
+        return tuple(dict.fromkeys(METHOD_OF[kind] for kind in self.others if kind in METHOD_OF))
 
 
 def pool(kind: str, draw: Draw, measured: Measured, work: Path) -> np.ndarray:
     """Chips of one kind, EACH of a class in the order of the classes, uint8 [n, SIDE, SIDE]; made once."""
     path = work / draw.name.replace(" ", "-") / f"{kind.replace(' ', '-')}.npy"
     if not path.exists():
-        made = np.concatenate([of_class(kind, number, draw, measured, work) for number in range(len(measured.classes))])
+        train = [dataset.select("train") for dataset in datasets(measured, draw, work)]
+        made = made_of(kind, train, runs(measured, draw, work, METHOD_OF[kind]) if kind in METHOD_OF else ())
         unfinished = path.with_suffix(".tmp.npy")
         np.save(unfinished, made)
         unfinished.replace(path)
     return np.load(path)
 
 
-def of_class(kind: str, number: int, draw: Draw, measured: Measured, work: Path) -> np.ndarray:
+def made_of(kind: str, train: Sequence[Dataset], runs: Sequence[Run]) -> np.ndarray:
+    """Chips of one kind, EACH of a class, of the training chips of each class, or of its reconstruction."""
+    own = runs if kind in METHOD_OF else [None] * len(train)
+    return np.concatenate([of_class(kind, *one) for one in zip(range(len(train)), train, own, strict=True)])
+
+
+def of_class(kind: str, number: int, train: Dataset, run: Run | None) -> np.ndarray:
     """Chips of one kind and class."""
-    if kind in OPTIONS:
-        run = runs(measured, draw, work)[number]
+    if run is not None and kind in OPTIONS:
         made = chips([run], count=EACH, crop=SIDE, near="top", **OPTIONS[kind])
         return np.stack([made[index][0][0].numpy() for index in range(EACH)])
-    dataset = datasets(measured, draw, work)[number]
-    train = dataset.select("train")
     chance = np.random.default_rng(number)
     if kind == TURNED:
         powers = (turned(train, chance) for _ in range(EACH))
         return np.stack([_stored(np.sqrt(power)) for power in powers])
     azimuths = [360 * ((number / 10 + k * _GOLDEN) % 1) for k in range(EACH)]
     views = [View(azimuth % 360, train.views[0].grazing_deg) for azimuth in azimuths]
-    expected = expectation(kind, train, runs(measured, draw, work, SAR_NERF)[number] if kind == SAR_NERF else None)
+    expected = expectation(train, run)
     speckle = ResponseSpeckle(train.grid)
     return np.stack([_stored(np.sqrt(_displaced(expected(view), chance)) * speckle.draw(chance)) for view in views])
 
 
-def expectation(kind: str, train: Dataset, run: Run | None) -> Callable[[View], np.ndarray]:
+def expectation(train: Dataset, run: Run | None) -> Callable[[View], np.ndarray]:
     """Expected power of a view: of a reconstruction, or without a third dimension."""
     if run is not None:
         return lambda view: run.render([view])[0].astype(np.float64)

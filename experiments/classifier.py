@@ -25,7 +25,7 @@ class Source:
     """Chips of which each batch has a share."""
 
     chips: np.ndarray
-    """uint8 [n, rows, columns], at least SIDE + 2 REACH each way."""
+    """Magnitudes of any scale [n, rows, columns], at least SIDE + 2 REACH each way."""
     classes: np.ndarray
     """int64 [n]."""
     share: float
@@ -68,10 +68,15 @@ def trained(measured: Source, others: Sequence[Source], classes: int, seed: int,
 
 def predicted(network: nn.Module, chips: np.ndarray) -> np.ndarray:
     """The classes of chips, by the square in the middle of each; int64 [n]."""
+    return log_odds(network, chips).argmax(axis=1)
+
+
+def log_odds(network: nn.Module, chips: np.ndarray) -> np.ndarray:
+    """Logarithm of the softmax for chips, by the square in the middle of each; float64 [n, classes]."""
     top, left = ((side - SIDE) // 2 for side in chips.shape[1:])
     middle = chips[:, top : top + SIDE, left : left + SIDE]
     with torch.no_grad():
-        found = [_scores(network, middle[k : k + 128]).argmax(1) for k in range(0, len(middle), 128)]
+        found = [_scores(network, middle[k : k + 128]).double().log_softmax(1) for k in range(0, len(middle), 128)]
     return torch.cat(found).numpy()
 
 

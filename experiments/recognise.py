@@ -1,4 +1,4 @@
-"""Class and azimuth of MSTAR's chips by runs of a few chips a class, beside the rotated average of the same chips.
+"""Class and azimuth of MSTAR's chips by runs of a few chips a class, beside their rotated average, and with a network.
 
 `make tables ONLY=recognise` does all; this program does it for fewer classes, test chips or trainings. Writes
 docs/results/recognise.md, recognise-runs.csv with a line for every seed and arm, and the table of
@@ -13,7 +13,7 @@ import io
 import os
 import statistics
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -26,11 +26,14 @@ from experiment import Experiment, Row
 from jaxtyping import Float64
 from measured import chips
 from scipy.ndimage import shift
+from with_network import network_log_odds, product
 
 from sarsplat import Dataset, ImageGrid, Run, View, locate
 from sarsplat.data import write_bytes
 from sarsplat.evaluation.baselines import levelled_average
 from sarsplat.executors import Means
+from sarsplat.recognition import Located
+from sarsplat.samples.chip_set import target_of
 from sarsplat.sweeps.results import Result
 from sarsplat.sweeps.work import RUNS
 
@@ -54,15 +57,29 @@ COLUMNS = {
     "azimuth within 5°": "within 5°",
     "reversed": "reversed",
     "claimed at 95% or more": "claimed at ≥ 95 %",
+    "odds of these": "odds of these, mean",
     "right of these": "right of these",
 }
-"""Scores of `Located`, and heads of the table."""
+"""Scores, and heads of the table."""
+OF_CLASS = ("accuracy", "claimed at 95% or more", "odds of these", "right of these")
+_SURE, _LEAST = 0.95, 1e-30
 
-ARMS = {
+LOCATED = {
     "learned": "learned ground",
     "flat": "flat ground",
     "average": "rotated average of the same chips, same procedure, with its ground",
 }
+WITH_NETWORK = {
+    "network": ("network", ()),
+    "network × learned": ("network × learned ground", ("learned",)),
+    "network × flat": ("network × flat ground", ("flat",)),
+    "network × average": ("network × rotated average", ("average",)),
+}
+"""Titles, and arms by whose odds the network's are multiplied."""
+
+ARMS = LOCATED | {arm: title for arm, (title, _) in WITH_NETWORK.items()}
+LABELLED = 24
+"""Chips of a class that choose the powers in products; `locate` calibrates with as many others."""
 
 
 class Averaged(Run):
@@ -90,8 +107,7 @@ def report(experiment: Experiment, results: Sequence[Result], work: Path, out: P
             if own and all(one.finished for one in own):
                 folders = [work / RUNS / one.row.address for one in own if one.row is not None]
                 code = own[0].row.code if own[0].row else ""
-                for arm in ARMS:
-                    scores = scores_of(folders, arm, each)
+                for arm, scores in scores_of(folders, seed, each, work.parent / "networks"):
                     line = {"chips": row.label, "seed": seed, "arm": arm, "classes": len(own), **scores, "code": code}
                     _keep(out, line)
                     print(line, flush=True)
@@ -101,18 +117,44 @@ def report(experiment: Experiment, results: Sequence[Result], work: Path, out: P
             fill_block(HOW_TO, "measured", f"{about(lines)}\n{table(lines)}")
 
 
-def scores_of(folders: Sequence[Path], arm: str, each: int | None) -> dict[str, float]:
-    """Locate chips at 15° by these runs, calibrated by chips at 17° that no run was trained on."""
-    runs = [(Averaged if arm == "average" else Run).load(folder) for folder in folders]
-    tests = [_evenly(run.dataset.select(f"test-{TEST}"), each) for run in runs]
-    others = [run.dataset.select(f"test-{TRAINING}") for run in runs]
-    ground: Literal["learned", "flat"] = "flat" if arm == "flat" else "learned"
-    found = locate(runs, tests, calibrate=others, ground=ground)
-    scores = {name: round(value, 4) for name, value in found.scores().items() if name in COLUMNS}
-    return {**scores, "images": len(found), "calibrated by": found.calibration.images}
+def scores_of(
+    folders: Sequence[Path], seed: int, each: int | None, networks: Path
+) -> Iterator[tuple[str, dict[str, float]]]:
+    """Recognise and locate chips at 15° by these runs, arm by arm; others at 17° make odds true."""
+    learned = sorted((Run.load(folder) for folder in folders), key=target_of)
+    tests = [evenly(run.dataset.select(f"test-{TEST}"), each) for run in learned]
+    others = [run.dataset.select(f"test-{TRAINING}") for run in learned]
+    helping = [evenly(one, LABELLED) for one in others]  # `locate` calibrates with the rest
+    count = sum(map(len, tests))
+    log_odds: dict[str, np.ndarray] = {}
+    for arm in LOCATED:
+        runs = [Averaged.load(folder) for folder in folders] if arm == "average" else learned
+        ground: Literal["learned", "flat"] = "flat" if arm == "flat" else "learned"
+        found = locate(runs, [*tests, *helping], calibrate=others, ground=ground)
+        yield arm, _scores(found, count, *COLUMNS)
+        log_odds[arm] = np.log(np.maximum(found.odds, _LEAST))
+    log_odds["network"] = network_log_odds(learned, seed, found.chips, networks)
+    for arm, (_, factors) in WITH_NETWORK.items():
+        odds = product([log_odds[one] for one in ("network", *factors)], found.labels, count)
+        yield arm, _scores(replace(found, odds=odds), count, *OF_CLASS)
 
 
-def _evenly(dataset: Dataset, each: int | None) -> Dataset:
+def _scores(found: Located, count: int, *names: str) -> dict[str, float]:
+    """Round some of the scores of the first images."""
+    arrays: dict[str, Any] = {
+        name: value[:count] for name, value in vars(found).items() if isinstance(value, np.ndarray)
+    }
+    arrays.pop("labels", None)  # made of the others
+    first = replace(found, chips=found.chips[:count], **arrays)
+    scores, claimed = first.scores(), first.odds.max(axis=1)
+    if (sure := claimed >= _SURE).any():
+        scores["odds of these"] = float(claimed[sure].mean())
+    chosen = {name: round(value, 4) for name, value in scores.items() if name in names}
+    return {**chosen, "images": count, "calibrated by": found.calibration.images}
+
+
+def evenly(dataset: Dataset, each: int | None) -> Dataset:
+    """So many images, evenly chosen in azimuth; None: all."""
     order = np.argsort([view.azimuth_deg for view in dataset.views], kind="stable")
     count = len(order) if each is None else min(each, len(order))
     return dataset.take([int(order[k * len(order) // count]) for k in range(count)])
@@ -157,8 +199,8 @@ def about(lines: Sequence[Mapping[str, str]]) -> str:
     images, calibrated = lines[0]["images"], lines[0]["calibrated by"]
     return (
         f"{classes} classes of MSTAR, each learned from a few chips at {TRAINING}°, evenly spaced in azimuth, by the "
-        f"preset `measured` with {'seed 0' if seeds == 1 else f'{seeds} seeds'}; {images} chips at {TEST}°, evenly "
-        f"chosen in azimuth, which is unknown. The odds are calibrated by {calibrated} other chips at {TRAINING}°; "
+        f"preset `measured` with {'seed 0' if seeds == 1 else f'{seeds} seeds'}; {images} chips at {TEST}°, located "
+        f"as if their azimuth were unknown. The odds are calibrated by {calibrated} other chips at {TRAINING}°; "
         "azimuth errors are those of the "
         f"labelled class. An image is {100 / int(images):.2g} %.\n"
     )
@@ -167,13 +209,15 @@ def about(lines: Sequence[Mapping[str, str]]) -> str:
 def page(experiment: Experiment, lines: Sequence[Mapping[str, str]]) -> str:
     """The page: what was done, what it says, the table."""
     most = max((line["chips"] for line in lines), key=_number)
-    best, control = (
-        [line for line in lines if (line["chips"], line["arm"]) == (most, arm)] for arm in ("learned", "average")
+    best, control, network, both = (
+        [line for line in lines if (line["chips"], line["arm"]) == (most, arm)]
+        for arm in ("learned", "average", "network", "network × learned")
     )
     codes = " and ".join(dict.fromkeys(line["code"] for line in lines))
     found = (
         f"From {most} of a class, {_text('accuracy', best)} of chips are recognised (rotated average "
-        f"{_text('accuracy', control)}), and the azimuth is found to {_text('median azimuth error, °', best)} in the "
+        f"{_text('accuracy', control)}, network {_text('accuracy', network)}, its odds times these "
+        f"{_text('accuracy', both)}), and the azimuth is found to {_text('median azimuth error, °', best)} in the "
         f"median ({_text('median azimuth error, °', control)})."
     )
     return (
@@ -205,7 +249,10 @@ RECOGNISE = Experiment(
     "recognise",
     "Class and azimuth of measured chips",
     "*Flat ground* is uniform, of the same mean: learned ground knows the field where the chips were recorded. "
-    "*Rotated average*: the training chips, turned to each azimuth and averaged, in place of renderings.",
+    "*Rotated average*: the training chips, turned to each azimuth and averaged, in place of renderings. "
+    "*Network*: that of [the benchmark](chips.md), trained on the same chips, these turned, and chips that the "
+    "reconstructions generate; it sees the field, too. Powers of odds in products are chosen by other chips at "
+    f"{TRAINING}°, at most {LABELLED} of a class.",
     rows(),
     (),
     judged=(),

@@ -288,7 +288,10 @@ def test_classes_and_azimuths_are_reported_by_arm_and_kept(made, module, tmp_pat
     monkeypatch.setattr(
         recognise,
         "scores_of",
-        lambda folders, arm, each: asked.append((len(folders), arm, each)) or {**scores, "calibrated by": 20},
+        lambda folders, seed, each, networks: (
+            asked.append((len(folders), seed, each))
+            or {arm: {**scores, "calibrated by": 20} for arm in recognise.ARMS}.items()
+        ),
     )
     rows = recognise.rows((5, 12), 2)
     assert [len(one.datasets) for one in rows] == [2, 2]
@@ -296,10 +299,20 @@ def test_classes_and_azimuths_are_reported_by_arm_and_kept(made, module, tmp_pat
     results = [finished(rows[1], 0, 0.1), finished(rows[1], 0, 0.1), finished(rows[0], 0, 0.1), waiting(rows[0], 0)]
     for _ in range(2):
         table.report(table, results, tmp_path, tmp_path / "out")
-    assert asked == [(2, arm, 7) for arm in recognise.ARMS] * 2  # of five chips, a training is missing
+    assert asked == [(2, 0, 7)] * 2  # of five chips, a training is missing
     page = (tmp_path / "out" / "recognise.md").read_text()
-    assert page.count("| 12 | flat ground | 90.0 % | 1.25° | 80.0 % | – | – | – | 40 |") == 1
-    assert "From 12 chips of a class, 90.0 % of chips are recognised (rotated average 90.0 %)" in page
+    assert page.count("| 12 | flat ground | 90.0 % | 1.25° | 80.0 % | – | – | – | – | 40 |") == 1
+    assert "From 12 chips of a class, 90.0 % of chips are recognised (rotated average 90.0 %, network 90.0 %" in page
+
+
+def test_products_of_odds_trust_neither_factor_blindly(module):
+    labels = np.arange(80) % 2
+    weak, noise = (
+        np.log(np.where(np.eye(2)[k] > 0, p, 1 - p)) for k, p in ((labels, 0.6), (np.arange(80) // 2 % 2, 0.99))
+    )
+    odds = module("experiments/with_network").product([weak, noise], labels, 40)
+    np.testing.assert_allclose(odds.sum(axis=1), 1)
+    assert (odds.argmax(axis=1) == labels).all()
 
 
 def test_rotated_averages_are_displaced_with_their_grid(module, monkeypatch):

@@ -14,6 +14,7 @@ from PIL import Image
 from made_imports import AZIMUTHS, PHASE, POWER, import_pictures, write_pictures
 from sarsplat.cli import main
 from sarsplat.data import read_dataset
+from sarsplat.data.sidecar import read_unplaced
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.examination import contradictions
 from sarsplat.examination.contradictions import examine
@@ -74,13 +75,19 @@ def test_a_dataset_shows_one_class(tmp_path):
         assert import_pictures(folder, target_class="car", target="mine").target == "mine"
 
 
-def test_pictures_without_azimuth_are_left_out_and_counted(tmp_path):
-    """As among measured chips, where some count for classifiers alone."""
+def test_pictures_without_azimuth_are_kept_apart_and_counted(tmp_path):
     rows = [[f"{k}.npy", "" if k == 1 else azimuth, 30] for k, azimuth in enumerate(AZIMUTHS)]
     folder = write_pictures(tmp_path / "in", POWER, rows, "file,azimuth,grazing")
     with pytest.warns(SarsplatWarning, match=r"no azimuth \(azimuth\) for 1 picture of 4 \(the first in line 3\)"):
         made = import_pictures(folder)
     np.testing.assert_array_equal(made.power, POWER[[0, 2, 3]])
+    kept = {"name": "1.npy", "file": "unplaced/0000.tif", "set": "train", "grazing_deg": 30}
+    assert made.source["unplaced"] == [kept]
+    np.testing.assert_array_equal(read_unplaced(made, made.path, kept["file"]), POWER[1])
+    np.save(folder / "1.npy", POWER[1, 2:-2])
+    less = r"1\.npy, without azimuth, shows less than the others; leave it out"
+    with pytest.warns(SarsplatWarning), pytest.raises(SarsplatError, match=less):
+        import_pictures(folder)
     write_pictures(tmp_path / "none", POWER, [[row[0], "", 30] for row in rows], "file,azimuth,grazing")
     with pytest.raises(SarsplatError, match="line 2: azimuth is ''; give a number"):
         import_pictures(tmp_path / "none")

@@ -27,7 +27,7 @@ def check(
     Checked are near range (shadow lies beyond the target), the sense of the azimuths (neighbouring images match),
     grazing angles (lengths in range fit), the unit (speckle of power has another contrast than that of amplitude or
     decibels), the resolution, whether images are constant, the same or of one scale, and single values that are too
-    bright or were cut off.
+    bright or were cut off. Azimuths of single images are checked by `sarsplat locate`, against a run.
 
     Parameters
     ----------

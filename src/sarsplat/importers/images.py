@@ -20,6 +20,7 @@ from sarsplat.data.dataset_folder import write_dataset
 from sarsplat.data.geotiff import LEVELS, UNCONVERTED
 from sarsplat.data.header import Calibration
 from sarsplat.data.image import power_of
+from sarsplat.data.sidecar import UNPLACED
 from sarsplat.errors import AssumptionWarning, SarsplatError, counted
 from sarsplat.examination.plausible import suspicions, warn
 from sarsplat.geometry import ImageGrid, Place, Terrain
@@ -74,7 +75,8 @@ def dataset_of(
     ----------
     images : sequence of MeasuredImage
         All complex, or all power. If their spacings differ, all are resampled to the finest; if their sizes or centres
-        differ, all are cut to their common part. Either none or all of them are stacks, of as many channels.
+        differ, all are cut to their common part. Either none or all of them are stacks, of as many channels. Those of
+        unknown azimuth are left out.
     target : str
         Name of the target.
     source : dict
@@ -103,7 +105,7 @@ def dataset_of(
         If images are resampled, cut, have different resolutions or pixels that are zero.
     """
     about = {"looks": 1.0, "ground": True, **about}
-    if not images:
+    if not (images := [image for image in images if image.placed]):
         raise SarsplatError("no images were given; give at least one")
     _require_one_kind(images)
     assumptions = [*source.get("assumptions", ())]
@@ -206,6 +208,26 @@ def write_imported(
     EXAMINATIONS[dataset] = examined
     warn([*wrong, *(odd for odd in suspicions(dataset) if odd not in wrong)], anew=True)
     return dataset
+
+
+def with_unplaced(
+    dataset: Dataset, images: Sequence[MeasuredImage]
+) -> tuple[Dataset, dict[str, Float32[np.ndarray, "rows columns"]]]:
+    """List images of unknown azimuth in the dataset's source; also return their power on its grid and scale, by file.
+
+    Raises if one does not show the whole grid.
+    """
+    pictures: dict[str, Float32[np.ndarray, "rows columns"]] = {}
+    listed, grid = [], dataset.grid
+    for image in (one for one in images if not one.placed):
+        for own, shown in ((image.grid.azimuth_m, grid.azimuth_m), (image.grid.range_m, grid.range_m)):
+            if max(own[0] - shown[0], shown[-1] - own[-1]) > _SAME_PLACE * (shown[1] - shown[0]):
+                raise SarsplatError(f"{image.name}, without azimuth, shows less than the others; leave it out")
+        power = _power(_on(image, grid)) / np.float32(dataset.source.get("mean_power", 1))
+        file = f"{UNPLACED}/{len(pictures):04}.tif"
+        pictures[file] = np.where(power > 0, power, _LEAST_POWER * np.median(power)).astype(np.float32)
+        listed.append({"name": image.name, "file": file, "set": image.split, "grazing_deg": image.view.grazing_deg})
+    return (replace(dataset, source={**dataset.source, UNPLACED: listed}) if listed else dataset), pictures
 
 
 def check_sides(size_m: float, rows: float, columns: float, spacing: str) -> None:

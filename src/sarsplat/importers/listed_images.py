@@ -19,7 +19,7 @@ from sarsplat.geometry import Place, View
 from sarsplat.importers.about import AboutImages, AboutPictures, Pair
 from sarsplat.importers.columns import FACTORS, told_of_factor
 from sarsplat.importers.files import warn_caller
-from sarsplat.importers.images import assume, dataset_of, write_imported
+from sarsplat.importers.images import assume, dataset_of, with_unplaced, write_imported
 from sarsplat.importers.measured_image import MeasuredImage, view_of
 from sarsplat.importers.pictures import Values, read_values
 from sarsplat.importers.table import ListedPicture, PictureTable
@@ -191,7 +191,9 @@ def write_pictures(
         place=place,
         **cast(AboutImages, {name: value for name, value in about.items() if name in known}),
     )
-    return write_imported(out, dataset, overwrite=overwrite)
+    other = "test" if about.get("train_views") else "train"
+    dataset, pictures = with_unplaced(dataset, [replace(one, split=one.split or other) for one in images])
+    return write_imported(out, dataset, overwrite=overwrite, pictures=pictures)
 
 
 def _require_unit(listed: PictureTable, quantity: Quantity) -> None:
@@ -315,7 +317,8 @@ def view_of_picture(listed: PictureTable, row: ListedPicture, angles: Angles, le
     if grazing is None:
         remedy = "name the column with `columns={'grazing': 'NAME'}` (or incidence), or give `grazing_deg` for all"
         listed.refuse_unstated("grazing angle", row, remedy)
-    azimuth = angles.offset_deg + _azimuth(listed, row, angles)
+    unknown = row.azimuth_std_deg == math.inf
+    azimuth = 0.0 if unknown else angles.offset_deg + _azimuth(listed, row, angles)
     return view_of(f"{listed.path}: {row.name}", azimuth, grazing, -tilt if left else tilt)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -31,7 +32,7 @@ class MeasuredImage:
     center_m : (float, float)
         Centre of the image (azimuth, slant range), m from the scene centre.
     azimuth_std_deg : float
-        Standard deviation of the azimuth, degrees.
+        Standard deviation of the azimuth, degrees; infinite if that is unknown.
     split : str or None
         Its set, if stated.
     response : Response
@@ -65,6 +66,11 @@ class MeasuredImage:
                 f"{self.name} holds {self.pixels.dtype} of shape {self.pixels.shape}; give "
                 f"{single if self.stack is None else 'complex amplitudes of the channels of a stack'}"
             )
+
+    @property
+    def placed(self) -> bool:
+        """True if the azimuth is known."""
+        return self.azimuth_std_deg < math.inf
 
     @property
     def grid(self) -> ImageGrid:

@@ -16,6 +16,7 @@ their power is at least 0.001 (−30 dB) of its mean. Their phases are kept: the
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -23,7 +24,7 @@ from pathlib import Path
 from typing import Any, Literal, Unpack
 
 import numpy as np
-from jaxtyping import Float32, Num
+from jaxtyping import Num
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data.coverage import nearest_to
@@ -33,7 +34,7 @@ from sarsplat.data.sidecar import UNPLACED
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.importers.about import AboutScene
 from sarsplat.importers.files import warn_caller
-from sarsplat.importers.images import dataset_of, write_imported
+from sarsplat.importers.images import dataset_of, with_unplaced, write_imported
 from sarsplat.importers.measured_image import MeasuredImage, view_of
 from sarsplat.importers.mstar_chips import Chip, plain_name, read_chips
 from sarsplat.importers.mstar_splits import SPLITS, divide
@@ -85,7 +86,7 @@ def import_mstar(
         Take the chips of a standard split of MSTAR: standard operating conditions, or extended ones of another
         depression angle, of other configurations or of other versions. Training chips are those that train there, test
         chips those that test. Chips without azimuth are kept in the folder `unplaced`: they count for a recogniser, and
-        a reconstruction has no use for them.
+        `locate` finds their azimuths.
     azimuth_std_deg : float
         Standard deviation of the azimuths, degrees, of chips for which the table has none; uncertain ones are refined
         in training.
@@ -148,6 +149,8 @@ def import_mstar(
     others = [chip for chip in every if test and id(chip) not in chosen]
     others.sort(key=lambda chip: (-chip.depression, chip.target_az_deg, chip.name))
     ordered = [*train, *others]
+    sets = [*["train"] * len(train), *(_test_set(chip, several) for chip in others), *(name for name, _ in unplaced)]
+    every = [*ordered, *(replace(chip, target_az_deg=0.0, azimuth_std_deg=math.inf) for _, chip in unplaced)]
     sign = 1 if mirrored else -1
     images = [
         MeasuredImage(
@@ -158,9 +161,9 @@ def import_mstar(
             chip.resolution_m,
             response=chip.response,
             azimuth_std_deg=azimuth_std_deg if chip.azimuth_std_deg is None else chip.azimuth_std_deg,
-            split="train" if index < len(train) else _test_set(chip, several),
+            split=name,
         )
-        for index, (chip, pixels) in enumerate(zip(ordered, _pixels(ordered, len(train)), strict=True))
+        for chip, pixels, name in zip(every, _pixels(every, len(train)), sets, strict=True)
     ]
     source: dict[str, Any] = {
         "kind": "mstar",
@@ -171,14 +174,16 @@ def import_mstar(
         "train_depression_deg": depressions,
         "mirrored": mirrored,
         **_calibration(ordered),
-        "cut_to_common_size": len({image.pixels.shape for image in images}) > 1,
+        "cut_to_common_size": len({image.pixels.shape for image in images if image.placed}) > 1,
         "chips": [{"name": chip.name, "target_az_deg": chip.target_az_deg, **_planned(chip)} for chip in ordered],
-        "assumptions": _assumptions(ordered, images, mirrored),
+        "assumptions": _assumptions(ordered, images[: len(ordered)], mirrored),
     }
     if split is not None:
         source |= {"split": {"name": split, "parts": counts}}
     dataset = dataset_of(images, target=target_class, source=source, **about)
-    dataset, pictures = _with_unplaced(dataset, unplaced, mirrored)
+    dataset, pictures = with_unplaced(dataset, images)
+    for listed, (_, chip) in zip(dataset.source.get(UNPLACED, ()), unplaced, strict=True):
+        listed |= _planned(chip)
     return write_imported(out, dataset, overwrite=overwrite, pictures=pictures)
 
 
@@ -186,32 +191,6 @@ def _test_set(chip: Chip, several: bool) -> str:
     """Name the set of a test chip by depression angle, and by vehicle where a split has `several`."""
     name = f"test-{chip.depression}"
     return f"{name}-{plain_name(chip.serial) or 'unnamed'}" if several else name
-
-
-def _with_unplaced(
-    dataset: Dataset, unplaced: list[tuple[str, Chip]], mirrored: bool
-) -> tuple[Dataset, dict[str, Float32[np.ndarray, "rows columns"]]]:
-    """List chips without azimuth in the dataset's source; also return their power on its scale, by file name.
-
-    They are cut to the size of the others, around the middle; raises if one is smaller.
-    """
-    rows, columns = dataset.grid.rows, dataset.grid.columns
-    pictures: dict[str, Float32[np.ndarray, "rows columns"]] = {}
-    listed = []
-    for name, chip in unplaced:
-        file = f"{UNPLACED}/{len(pictures):04}.tif"
-        image = oriented(_pixels([chip], 1)[0], chip.near, mirrored)
-        power = abs(image) ** 2 if np.iscomplexobj(image) else image
-        top, left = (power.shape[0] - rows) // 2, (power.shape[1] - columns) // 2
-        if top < 0 or left < 0:
-            raise SarsplatError(
-                f"{chip.name} has {power.shape[0]} × {power.shape[1]} pixels, fewer than the other chips of "
-                f"{dataset.target} ({rows} × {columns}); take it away"
-            )
-        scaled = power[top : top + rows, left : left + columns] / dataset.source["mean_power"]
-        pictures[file] = scaled.astype(np.float32)
-        listed.append({"name": chip.name, "file": file, "set": name, "grazing_deg": chip.grazing_deg, **_planned(chip)})
-    return (replace(dataset, source={**dataset.source, UNPLACED: listed}) if listed else dataset), pictures
 
 
 def _planned(chip: Chip) -> dict[str, Any]:

@@ -56,6 +56,7 @@ class ListedPicture:
     resolution_m: tuple[float | None, float | None]
     """Azimuth, range."""
     azimuth_std_deg: float | None
+    """Infinite if the azimuth is unknown."""
     split: str | None
     """"train" or "test…"."""
     looks_left: bool | None
@@ -142,23 +143,27 @@ def read_picture_table(folder: Path, about: AboutPictures, *, compass: bool = Fa
         warn_caller(f"{table.path} has no row for {counted(unlisted, 'picture')} in {folder}, left out")
     target = _one_class(table, columns, about.get("target_class"), list(row_of.values()))
     chosen = {at: row for at, row in row_of.items() if target is None or row[1][columns["class"]] == target}
-    pictures = (_listed(table, row, columns, heading, at) for at, row in _placed(table, columns, chosen).items())
+    kept = not compass and not columns.keys() & {"baseline", "polarisation"}
+    unplaced = _unplaced(table, columns, chosen, kept)
+    pictures = (
+        _listed(table, row, columns, heading, at, at in unplaced)
+        for at, row in chosen.items()
+        if kept or at not in unplaced
+    )
     return PictureTable(table.path, columns, target, tuple(pictures))
 
 
-def _placed(table: CsvTable, columns: Columns, rows: dict[Path, Row]) -> dict[Path, Row]:
-    """Leave out rows whose azimuth is empty, unless all are."""
-    if "azimuth" not in columns or "heading" in columns:
-        return rows
-    placed = {at: row for at, row in rows.items() if row[1][columns["azimuth"]]}
-    if not placed or len(placed) == len(rows):
-        return rows
-    first = next(row for at, row in rows.items() if at not in placed)
+def _unplaced(table: CsvTable, columns: Columns, rows: dict[Path, Row], kept: bool) -> set[Path]:
+    """Return the pictures whose azimuth is empty, with a warning; none if all are."""
+    column = columns.get("azimuth", "")
+    unplaced = [at for at, row in rows.items() if column and "heading" not in columns and not row[1][column]]
+    if not 0 < len(unplaced) < len(rows):
+        return set()
     warn_caller(
-        f"{table.path} has no azimuth ({columns['azimuth']}) for {counted(len(rows) - len(placed), 'picture')} of "
-        f"{len(rows)} (the first in line {first[0]}), left out; fill in what you need"
+        f"{table.path} has no azimuth ({column}) for {counted(len(unplaced), 'picture')} of {len(rows)} (the first in "
+        f"line {rows[unplaced[0]][0]}), {'kept for `sarsplat locate`' if kept else 'left out'}; fill in what you need"
     )
-    return placed
+    return set(unplaced)
 
 
 def _one_class(table: CsvTable, columns: Columns, chosen: str | None, rows: list[Row]) -> str | None:
@@ -220,7 +225,9 @@ def _table_of_names(folder: Path, files: list[Path], tables: list[Path], pattern
     return CsvTable(Path(pattern), ("file", *columns), tuple(rows))
 
 
-def _listed(table: CsvTable, row: Row, columns: Columns, heading: str | None, path: Path) -> ListedPicture:
+def _listed(
+    table: CsvTable, row: Row, columns: Columns, heading: str | None, path: Path, unplaced: bool
+) -> ListedPicture:
     def text(meaning: str) -> str:
         return row[1][columns[meaning]] if meaning in columns else ""
 
@@ -237,12 +244,12 @@ def _listed(table: CsvTable, row: Row, columns: Columns, heading: str | None, pa
     return ListedPicture(
         name=text("file"),
         path=path,
-        azimuth_deg=table.direction(row, columns["azimuth"]) if "azimuth" in columns else None,
+        azimuth_deg=table.direction(row, columns["azimuth"]) if "azimuth" in columns and not unplaced else None,
         heading_deg=_heading_deg(table, row, columns, heading),
         grazing_deg=90 - incidence if grazing is None and incidence is not None else grazing,
         spacing_m=pair("spacing"),
         resolution_m=pair("resolution"),
-        azimuth_std_deg=number("azimuth-std"),
+        azimuth_std_deg=math.inf if unplaced else number("azimuth-std"),
         split=_split(table, row, columns["split"]) if text("split") else None,
         looks_left=LOOKS[one_of(table, row, columns["look"], LOOKS)] if text("look") else None,
         tilt_deg=number("tilt"),
