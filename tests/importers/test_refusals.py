@@ -88,7 +88,7 @@ def constant(value: float) -> list[dict[str, Any]]:
 
 
 IMAGES: Refusals = [
-    (images(), "no images were given"),
+    (images(), "no image with an azimuth was given"),
     (images({}, {"pixels": np.ones((40, 44), np.float32)}), "0.img has complex amplitudes and 1.img has power"),
     (images(*constant(0)[:2]), "all 2 images are black"),
     (images({}, {"center_m": (50.0, 0.0)}), "no part in common"),

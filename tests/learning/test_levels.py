@@ -47,12 +47,13 @@ def coarse() -> Config:
     return replace(preset("quick"), iterations=12, gaussians=300, checkpoint_every=10)
 
 
-@pytest.mark.parametrize("factor", [1.0, 3e4])
+@pytest.mark.parametrize("factor", [0.3, 3e4])
 def test_the_first_renderings_have_a_share_of_the_images_power(scene: Dataset, coarse: Config, factor: float) -> None:
-    model = SceneModel.initial(coarse, replace(scene, power=scene.power * factor), torch.Generator().manual_seed(0))
-    images = render(model.target(0).detach(), VIEWS, GRID).images
-    power = float(images.sum()) * model.unit / (scene.power.sum() * factor)
-    assert power == pytest.approx(coarse.initial_scattering, rel=0.15)
+    many, truth = replace(coarse, gaussians=None), factor * scene.power
+    model = SceneModel.initial(many, replace(scene, power=truth), torch.Generator().manual_seed(0))
+    images = render(model.target(0).detach(), VIEWS, GRID).images[:, 0]
+    powers = images.sum((1, 2)).numpy() * model.unit / truth.sum((1, 2))
+    assert np.quantile(powers, 0.25) == pytest.approx(many.initial_scattering, rel=0.1)
 
 
 def levels(side_m: float, iterations: int = 100, coarsest: int = 8, pixels: int = 640) -> Levels:

@@ -191,7 +191,7 @@ def _by_class(chips: Sequence[tuple[str, float]]) -> dict[str, str]:
     return facts
 
 
-_FOR = "for classifiers (`sarsplat chips --measured`), not for reconstructions"
+_FOR = "for `sarsplat locate` and `sarsplat chips --measured`"
 _NUMBERS = ("found", "published", "without_azimuth")
 
 

@@ -183,11 +183,12 @@ def _images(options: Options, scene: _Scene, about: dict[str, Any]) -> Dataset:
                 advice = "; give a smaller --ray-spacing" * (error_db > _TOLERABLE_DB)
                 verdict = f"is right to {error_db:.2g} dB RMS{advice}"
             shown.note(f"rays {physics['ray_spacing']:.3g} m apart along edges: the first image {verdict}")
-        speckle = np.ones((len(scene.splits), scene.grid.rows, scene.grid.columns), np.float32)
+        speckle = None
         if sensor.looks is not None:  # first, so that an invalid number of looks raises before minutes of ray casting
-            speckle = add_speckle(speckle, sensor.looks, generator(options.seed, "speckle"))
+            ones = np.ones((len(scene.splits), scene.grid.rows, scene.grid.columns), np.float32)
+            speckle = add_speckle(ones, sensor.looks, generator(options.seed, "speckle"))
             speckle[[sensor.clean_tests and split != "train" for _, split in scene.splits]] = 1
-        images = speckle * simulate_images(
+        images = simulate_images(
             scene.surface,
             scene.views,
             scene.grid,
@@ -196,6 +197,8 @@ def _images(options: Options, scene: _Scene, about: dict[str, Any]) -> Dataset:
             progress=shown.update,
             power_by_echo=power_by_echo,
         )
+        if speckle is not None:
+            images *= speckle
         if power_by_echo:
             shown.note("power: " + ", ".join(f"{kind} {share:.0%}" for kind, share in power_by_echo.items()))
     record = simulation_record(**how, power_by_echo=power_by_echo, ray_error_db=error_db)

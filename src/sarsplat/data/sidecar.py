@@ -1,6 +1,7 @@
 """Sidecar files of datasets: true masks of target and shadow, and chips of unknown azimuth.
 
-Writing a dataset that was read from a folder copies them, as long as its images are unchanged.
+Writing a dataset that was read from a folder copies chips while its images are unchanged, and masks also where these
+have another scale.
 """
 
 from __future__ import annotations

@@ -146,7 +146,7 @@ class Scattering(ABC):
 
 
 def register_scattering(law: L) -> L:
-    """Register a law under its `kind`, as a decorator: for `reconstruct(..., scattering=KIND)` and for files.
+    """Register a law under its `kind`, as a decorator: for the setting `scattering` and for files.
 
     This holds for the running program. A package registers a law for all programs, including the command line, by an
     entry point of the group `sarsplat.scattering`, whose name is the kind.

@@ -50,6 +50,8 @@ def import_folder(
 ) -> Dataset:
     """Import pictures (PNG, JPEG, TIFF, GeoTIFF, NPY, MATLAB) with a table (CSV) of angles.
 
+    Pictures with an empty azimuth are kept aside, for `sarsplat locate`; on maps and in stacks they are left out.
+
     Parameters
     ----------
     folder : Path

@@ -191,7 +191,7 @@ def write_pictures(
         place=place,
         **cast(AboutImages, {name: value for name, value in about.items() if name in known}),
     )
-    other = "test" if about.get("train_views") else "train"
+    other = "train" if dataset.splits() == ("train",) else "test"
     dataset, pictures = with_unplaced(dataset, [replace(one, split=one.split or other) for one in images])
     return write_imported(out, dataset, overwrite=overwrite, pictures=pictures)
 

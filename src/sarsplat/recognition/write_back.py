@@ -60,8 +60,8 @@ def write_back(located: Located, dataset: str | Path, out: str | Path, *, overwr
         chips.append({name: one[name] for name in ("name", "serial", "depression_deg") if name in one})
     if not entries:
         raise SarsplatError(
-            f"no image of {dataset} gets an azimuth: none lacks one, was located, is certain enough, and shows "
-            f"{' or '.join(located.classes)}, which the runs show"
+            f"no image of {dataset} gets an azimuth: none of those without was located with certainty as "
+            f"{' or '.join(located.classes)}, the classes of the runs"
         )
     source = {name: value for name, value in before.source.items() if name != UNPLACED}
     source["assumptions"] = [

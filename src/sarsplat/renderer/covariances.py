@@ -66,7 +66,7 @@ def render_covariances(
         As at `render`.
     shift : Tensor [V, 2], optional
         Displacement (azimuth, range) of each image, m.
-    engine : {"auto", "cpu", "cuda", "reference"}
+    engine : str
         As at `render`.
 
     Returns

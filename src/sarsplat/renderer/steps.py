@@ -52,7 +52,7 @@ def project(
         Their cell widens the footprints on the computation plane; two to a pixel spacing unless given.
     shift : Tensor [V, 2], optional
         Displacement (azimuth, range) of each image, m.
-    engine : {"auto", "cpu", "cuda", "reference"}
+    engine : str
         As at `render`.
 
     Returns
@@ -93,7 +93,7 @@ def attenuate(
         Ray lattice; the same as for `project`, which widened the footprints by its cell.
     first_return_depth : float, optional
         Two-way optical depth at which a ray counts as returned; asks for `Attenuation.ray_maps`.
-    engine : {"auto", "cpu", "cuda", "reference"}
+    engine : str
         As at `render`.
 
     Returns
@@ -151,7 +151,7 @@ def splat(
         Phase gradients of complex cross-sections across the footprints.
     imaging_weight : {"area", "peak"}
         "area" divides by the footprint's area, which conserves cross-sections; "peak" does not, for ablations only.
-    engine : {"auto", "cpu", "cuda", "reference"}
+    engine : str
         As at `render`.
 
     Returns

@@ -133,8 +133,8 @@ class Config(AnyConfig):
     initial_optical_depth : float
         Two-way peak optical depth of a Gaussian at the start.
     initial_scattering : float
-        γ⁰ of a Gaussian at the start, its mean over all directions; in images of a target alone, relative to the upper
-        quartile, over the views, of the γ⁰ with which the first rendering has the image's power.
+        γ⁰ of a Gaussian at the start, its mean over all directions; in images of a target alone, a factor on the γ⁰
+        with which the first Gaussians would return their power, at most 1, but at least twice `p_min`.
     scale_bounds : tuple of float
         Minimum and maximum standard deviation of a Gaussian, in resolution cells; the maximum times f¹ᐟ⁶ if the
         training begins with blocks of f × f pixels.

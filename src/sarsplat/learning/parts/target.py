@@ -16,7 +16,7 @@ from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import MIN_SCALE, Gaussians, Scattering, scattering_named
 from sarsplat.gaussians.initialise import BRIGHT_DB, Region, hemisphere_shell, random_quaternions
-from sarsplat.geometry import Stack
+from sarsplat.geometry import ImageGrid, Stack
 from sarsplat.learning.parts.part import Learned, Parameters, Part, column_means, late, normal_nats
 from sarsplat.learning.scene_frame import Levels, SceneFrame
 from sarsplat.radiometry import brighter, usual_peak
@@ -104,9 +104,11 @@ class Target(Part):
         quaternions, depth = random_quaternions(n, generator), means.new_full((n,), config.initial_optical_depth)
         scales = means.new_tensor(_start_scales_m(config, self._coarsest_m)).repeat(n, 1)
         scattering = law(config, n, config.initial_scattering, self.frame.stacks)
-        if not (config.ground or config.surroundings or self.frame.stacks):  # images show nothing else
-            gamma0 = _usual_gamma0(Gaussians(means, quaternions, scales, depth, scattering), train) / self.frame.unit
-            scattering = law(config, n, max(config.initial_scattering * gamma0, _OVER_P_MIN * config.p_min))
+        shows_more = train.ground or config.ground or config.surroundings or self.frame.stacks
+        if not (shows_more or config.box_m or train.target_box_m):
+            first = Gaussians(means, quaternions, scales, depth, scattering)
+            gamma0 = _returned_gamma0(first, train, self._levels.grid_at(self._levels.coarsest)) / self.frame.unit
+            scattering = law(config, n, max(config.initial_scattering * min(gamma0, 1.0), _OVER_P_MIN * config.p_min))
         return {
             "means": means,
             "quaternions": quaternions,
@@ -277,14 +279,15 @@ def scales_m(config: Config, cell_m: float, coarsest: int = 1) -> tuple[float, f
     return max(smallest, MIN_SCALE), first, largest
 
 
-def _usual_gamma0(gaussians: Gaussians, train: Dataset) -> float:
-    """γ⁰ with which Gaussians return the power of an image, its upper quartile over the training views.
+def _returned_gamma0(gaussians: Gaussians, train: Dataset, grid: ImageGrid) -> float:
+    """γ⁰ with which Gaussians would return each image's power: the upper quartile over the training views.
 
-    Power is clipped at the `usual_peak`, so that corner reflectors do not count.
+    By the mean, views in which the target is bright would begin too dark. Power is clipped at the `usual_peak`, so that
+    corner reflectors hardly count; `grid` sets the rays.
     """
     ones, peak, found = gaussians.means.new_ones(1, len(gaussians), 1), usual_peak(train.power), list[float]()
     for view, image in zip(train.views, train.power, strict=True):
-        lit_m2 = render(gaussians, [view], train.grid, amplitudes=ones).lit_area.numpy().sum(dtype=np.float64)
+        lit_m2 = render(gaussians, [view], grid, amplitudes=ones).lit_area.numpy().sum(dtype=np.float64)
         power = np.minimum(image, peak).sum(dtype=np.float64)
         found.append(float(power) * math.prod(train.grid.spacing_m) / max(lit_m2, _LEAST_M2))
     return float(np.quantile(found, 0.75))
