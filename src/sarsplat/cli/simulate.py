@@ -174,7 +174,7 @@ def _images(options: Options, scene: _Scene, about: dict[str, Any]) -> Dataset:
     how = {"source": options.echoes.source, "seed": options.seed, **physics}
     physics["reflectivity"] = part_reflectivity(scene.surface, reflectivity_db, options.seed)
     physics["terrain"] = scene.relief
-    error_db, power_by_echo = None, dict[str, float]()
+    error_db, speckle, power_by_echo = None, None, dict[str, float]()
     with progress(f"simulate {scene.name}", len(scene.splits)) as shown:
         if options.echoes.source == "raycast":
             error_db = ray_error_db(scene.surface, scene.views[0], scene.grid, **physics)
@@ -183,7 +183,6 @@ def _images(options: Options, scene: _Scene, about: dict[str, Any]) -> Dataset:
                 advice = "; give a smaller --ray-spacing" * (error_db > _TOLERABLE_DB)
                 verdict = f"is right to {error_db:.2g} dB RMS{advice}"
             shown.note(f"rays {physics['ray_spacing']:.3g} m apart along edges: the first image {verdict}")
-        speckle = None
         if sensor.looks is not None:  # first, so that an invalid number of looks raises before minutes of ray casting
             ones = np.ones((len(scene.splits), scene.grid.rows, scene.grid.columns), np.float32)
             speckle = add_speckle(ones, sensor.looks, generator(options.seed, "speckle"))

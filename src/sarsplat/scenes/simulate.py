@@ -102,10 +102,7 @@ def simulate_images(
     raise_first(
         (source not in ("raycast", "splat"), f"`source` is {source!r}; choose 'raycast' or 'splat'"),
         (splat and ray_spacing is not None, f"`ray_spacing` is {ray_spacing}, but it is for ray casting; leave it out"),
-        (
-            splat and grid.response != GAUSSIAN,
-            f"the response is {grid.response}, not Gaussian; choose `source='raycast'`",
-        ),
+        (splat and grid.response != GAUSSIAN, f"response is {grid.response}, not Gaussian; choose `source='raycast'`"),
         (
             splat and bounces == 2 and not ground_reflectivity,
             "the renderer's second bounces need ground that reflects; give `ground_reflectivity` or `source='raycast'`",

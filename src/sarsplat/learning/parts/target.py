@@ -36,7 +36,6 @@ _INITIAL_WIDTHS = (1.0, 1.0, 0.9)
 """Relative initial widths of an oriented Gaussian: rounding must not decide which axis is the shortest."""
 
 _OVER_P_MIN = 2.0  # minimum γ⁰ at the start, in P_min, near which the scattering has no gradient
-_LEAST_M2 = 1e-9  # minimum lit area of the first Gaussians, m²
 _SIMILAR = 0.6  # scale of the scattering penalty: larger differences of parameters cost little more
 _STEP, _SEED = 0x9E3779B97F4A7C15, 0xD1B54A32D192ED03  # odd multipliers that spread step and seed over 64 bits
 
@@ -289,7 +288,7 @@ def _returned_gamma0(gaussians: Gaussians, train: Dataset, grid: ImageGrid) -> f
     for view, image in zip(train.views, train.power, strict=True):
         lit_m2 = render(gaussians, [view], grid, amplitudes=ones).lit_area.numpy().sum(dtype=np.float64)
         power = np.minimum(image, peak).sum(dtype=np.float64)
-        found.append(float(power) * math.prod(train.grid.spacing_m) / max(lit_m2, _LEAST_M2))
+        found.append(float(power) * math.prod(train.grid.spacing_m) / max(lit_m2, grid.cell_m**2))
     return float(np.quantile(found, 0.75))
 
 
