@@ -213,12 +213,12 @@ def page(experiment: Experiment, lines: Sequence[Mapping[str, str]]) -> str:
         [line for line in lines if (line["chips"], line["arm"]) == (most, arm)]
         for arm in ("learned", "average", "network", "network × learned")
     )
+    by_network = f", network {_text('accuracy', network)}, its odds times these {_text('accuracy', both)}" * bool(both)
     codes = " and ".join(dict.fromkeys(line["code"] for line in lines))
     found = (
         f"From {most} of a class, {_text('accuracy', best)} of chips are recognised (rotated average "
-        f"{_text('accuracy', control)}, network {_text('accuracy', network)}, its odds times these "
-        f"{_text('accuracy', both)}), and the azimuth is found to {_text('median azimuth error, °', best)} in the "
-        f"median ({_text('median azimuth error, °', control)})."
+        f"{_text('accuracy', control)}{by_network}), and the azimuth is found to "
+        f"{_text('median azimuth error, °', best)} in the median ({_text('median azimuth error, °', control)})."
     )
     return (
         f"# {experiment.title}\n\n{about(lines)}\n{experiment.about}\n\n**Found.** {found}\n\n{table(lines)}\n"

@@ -404,7 +404,7 @@ PLY: Refusals = [
     (points(np.full((4, 3), np.nan)), "NaN or an infinity"),
     *((far(distance_m), r"p\.ply holds a point .* m from the origin") for distance_m in (3e38, -1.1e9)),
     (stored(bytes(33), read_gaussians_ply, "a.splat"), r"a\.splat has 33 bytes"),
-    (stored(b"NGSP", read_gaussians_ply, "a.spz"), r"a\.spz is compressed; convert it to a plain PLY"),
+    (stored(b"NGSP", read_gaussians_ply, "a.spz"), r"a\.spz is not a PLY .* or convert it, z up, with splat-"),
     (points_with(b"vertex 9", b"vertex 999999999999"), "is truncated"),
     (points_with(b"vertex 9", b"vertex -9"), "'element vertex -9' in its PLY header, which is garbled or of a mesh"),
     (points_with(b"ply\n", b"PLY\n"), "not a PLY file"),

@@ -84,8 +84,12 @@ def test_pictures_without_azimuth_are_kept_apart_and_counted(tmp_path):
     kept = {"name": "1.npy", "file": "unplaced/0000.tif", "set": "train", "grazing_deg": 30}
     assert made.source["unplaced"] == [kept]
     np.testing.assert_array_equal(read_unplaced(made, made.path, kept["file"]), POWER[1])
+    np.save(folder / "1.npy", np.zeros_like(POWER[1]))
+    with pytest.warns(SarsplatWarning):
+        made = import_pictures(folder)
+    assert 0 < read_unplaced(made, made.path, kept["file"]).max() < POWER.min()
     np.save(folder / "1.npy", POWER[1, 2:-2])
-    less = r"1\.npy, without azimuth, shows less than the others; remove its row"
+    less = r"1\.npy, without azimuth, shows less than the others; remove it"
     with pytest.warns(SarsplatWarning), pytest.raises(SarsplatError, match=less):
         import_pictures(folder)
     write_pictures(tmp_path / "none", POWER, [[row[0], "", 30] for row in rows], "file,azimuth,grazing")

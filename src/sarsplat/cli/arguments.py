@@ -36,6 +36,8 @@ RunFolder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
 RunOrFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN|PLY")]
 """A run's folder, or a PLY or .splat file of Gaussians; see `run_at`."""
 
+COMPRESSED = (".spz", ".sog", ".ksplat")  # endings of files of Gaussians that have to be converted
+
 Folder = Annotated[Path, tyro.conf.arg(metavar="DIR")]
 File = Annotated[Path, tyro.conf.arg(metavar="FILE")]
 OptionalFolder = Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(optional)")]
@@ -225,7 +227,7 @@ def views_from(
 
 def is_gaussians(path: Path) -> bool:
     """Return whether a path is a file of Gaussians, not a run."""
-    return not path.is_dir() and path.suffix.lower() in (".ply", ".splat", ".glb", ".spz", ".sog", ".ksplat")
+    return not path.is_dir() and path.suffix.lower() in (".ply", ".splat", ".glb", *COMPRESSED)
 
 
 def run_at(path: Path, *, strays: bool = True) -> Run:

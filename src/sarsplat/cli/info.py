@@ -8,7 +8,7 @@ from typing import Annotated
 import tyro
 
 from sarsplat.cli import console
-from sarsplat.cli.arguments import OptionalFile
+from sarsplat.cli.arguments import COMPRESSED, OptionalFile
 from sarsplat.cli.importers import recognised
 from sarsplat.cli.info_dataset import describe_dataset
 from sarsplat.cli.info_run import describe_contents, describe_run, extent
@@ -58,7 +58,7 @@ def _describe_file(path: Path) -> None:
     match path.suffix.lower() if path.is_file() else "":
         case ".ply":
             kind, rows = _ply(path)
-        case ".splat" | ".spz" | ".sog" | ".ksplat":
+        case suffix if suffix in (".splat", *COMPRESSED):
             kind, rows = _gaussians(path)
         case ".obj" | ".stl" | ".off":
             kind, rows = _mesh(path)
@@ -98,7 +98,7 @@ def _ply(path: Path) -> tuple[str, dict[str, str]]:
         header = file.read(65_536).partition(b"end_header")[0]
     if b"property list" in header:
         return _mesh(path)
-    if b" f_dc_0" in header:
+    if b" f_dc_0" in header or b" packed_position" in header:
         return _gaussians(path)
     from sarsplat.data import read_points_ply
 

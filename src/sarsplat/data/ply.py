@@ -55,8 +55,6 @@ _FAR = 20.0
 """Distance from the origin, in sizes, beyond which Gaussians are moved: an image of both would show them as a dot."""
 _OUTLIERS = 0.002
 """Share of the centres on either side that is left out of the size."""
-_COMPRESSED = (".spz", ".sog", ".ksplat", ".compressed.ply")
-"""Endings of files of Gaussians that are not read."""
 _UNUSED = ("nx", "ny", "nz")
 _SMALLEST_LOG, _LARGEST_LOG = math.log(MIN_SCALE), 80.0
 """Range of logarithms of scales in m; e^80 is near the largest float32."""
@@ -153,10 +151,8 @@ def read_centred_gaussians(path: Path) -> tuple[Gaussians, Float64[np.ndarray, "
 
 def _read(path: Path, exact: tuple[str, ...]) -> tuple[Gaussians, Float64[np.ndarray, " 3"]]:
     """Read Gaussians and the vector subtracted from their means, which is zero unless coordinates are read `exact`."""
-    compressed = path.name.lower().endswith(_COMPRESSED)
-    other = {".splat": _splat_columns, ".glb": glb_columns}.get(path.suffix.lower())
-    if compressed or other is not None:
-        columns, comments = {} if other is None else other(path), list[str]()
+    if (other := {".splat": _splat_columns, ".glb": glb_columns}.get(path.suffix.lower())) is not None:
+        columns, comments = other(path), list[str]()
     else:
         columns, comments = read_ply(
             path, lambda name, of: _VERSION not in of or not name.startswith(_FOR_VIEWERS), exact
@@ -165,8 +161,8 @@ def _read(path: Path, exact: tuple[str, ...]) -> tuple[Gaussians, Float64[np.nda
     foreign = next((line for line in comments if line.startswith("sarsplat gaussians") and not ours), None)
     if foreign is not None:
         raise SarsplatError(f"{path} has the format {shown(foreign)} but this program reads {_VERSION!r}; update it")
-    wrong = ["is compressed"] * compressed + [f"states {shown(one)}" for one in comments if _OTHER_AXIS.fullmatch(one)]
-    if wrong:
+    states = [f"states {shown(one)}" for one in comments if _OTHER_AXIS.fullmatch(one)]
+    if wrong := ["is compressed"] * ("packed_position" in columns) + states:
         raise SarsplatError(f"{path} {wrong[0]}; convert it to a plain PLY, z up, with splat-transform or SuperSplat")
     columns = _usable(path, columns)
     values = {

@@ -71,7 +71,7 @@ def read_ply(
         if newline is None or not end or not all(re.fullmatch(rb"[\t -~]*", line) for line in lines):
             raise SarsplatError(
                 f"{path} is not a PLY file with a header of plain text; give one made by `sarsplat export` or a 3DGS "
-                "program"
+                "program, or convert it, z up, with splat-transform or SuperSplat"
             )
         header = [line.decode("ascii") for line in lines[1:]]
         offset, count, dtype = _vertices(path, header, len(head) + len(end), size)

@@ -222,10 +222,10 @@ def with_unplaced(
     for image in (one for one in images if not one.placed):
         for own, shown in ((image.grid.azimuth_m, grid.azimuth_m), (image.grid.range_m, grid.range_m)):
             if max(own[0] - shown[0], shown[-1] - own[-1]) > _SAME_PLACE * (shown[1] - shown[0]):
-                raise SarsplatError(f"{image.name}, without azimuth, shows less than the others; remove its row")
+                raise SarsplatError(f"{image.name}, without azimuth, shows less than the others; remove it")
         power = _power(_on(image, grid)) / np.float32(dataset.source.get("mean_power", 1))
         file = f"{UNPLACED}/{len(pictures):04}.tif"
-        pictures[file] = np.where(power > 0, power, _LEAST_POWER * np.median(power[power > 0])).astype(np.float32)
+        pictures[file] = np.where(power > 0, power, np.float32(_LEAST_POWER * np.median(dataset.power)))
         listed.append({"name": image.name, "file": file, "set": image.split, "grazing_deg": image.view.grazing_deg})
     return (replace(dataset, source={**dataset.source, UNPLACED: listed}) if listed else dataset), pictures
 
