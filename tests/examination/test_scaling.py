@@ -97,14 +97,15 @@ def test_pictures_that_are_stretched_one_by_one(by):
 
 
 @pytest.mark.parametrize("factor", [0.1, 10.0])
-@pytest.mark.parametrize(("others", "alone"), [((30.0, 30.0), 30.0), ((20.0, 40.0), 60.0)])
-def test_one_picture_of_another_scale_is_named(factor, others, alone):
+@pytest.mark.parametrize(("others", "alone", "within_db"), [((30.0, 30.0), 30.0, 0.1), ((20.0, 40.0), 60.0, 1.7)])
+def test_one_picture_of_another_scale_is_named(factor, others, alone, within_db):
     """The law of the ground between the other grazing angles holds for one that no other picture has."""
     views = [View(30.0 * k, alone if k == 7 else others[k % 2]) for k in range(COUNT)]
     dataset = with_views(pictures(), views)
     assert scaled(dataset) == []
     (said,) = scaled(with_copy(dataset, factor * dataset.power[7]))
-    assert re.match(rf"the ground of 007 is (8|9|1[01])\.\d dB {'darker' if factor < 1 else 'brighter'}", said)
+    found = re.match(f"the ground of 007 is (.*) dB {'darker' if factor < 1 else 'brighter'}", said)
+    assert found and float(found[1]) == pytest.approx(10, abs=1.001 * within_db)
 
 
 @pytest.mark.parametrize("grazings", [(30,), (20, 40, 60), (20, 30, 40, 50, 60)])
