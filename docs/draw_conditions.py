@@ -25,7 +25,7 @@ from sarsplat.scenes.simulate import simulate_images
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "experiments"))
-from conditions import SCENES  # noqa: E402
+from made_scenes import SCENES  # noqa: E402
 
 PICTURE = HERE / "images" / "conditions.png"
 GRID = ImageGrid(128, 128, (0.3, 0.3), (0.3, 0.3))

@@ -10,6 +10,7 @@ from conditions import CONDITIONS_GRID
 from experiment import Experiment, Options, Row, scene
 from measured import MEASURED
 from recognise import RECOGNISE
+from surfaces import SURFACES
 
 from baselines import BASELINES, BASELINES_ON_CHIPS
 from sarsplat.evaluation.paper import PAPER_DENSIFICATION, PAPER_DENSITY, paper_scores
@@ -230,6 +231,7 @@ EXPERIMENTS: tuple[Experiment, ...] = (
         alone=True,
     ),
     CONDITIONS_GRID,
+    SURFACES,
     BASELINES,
     BASELINES_ON_CHIPS,
     *MEASURED,

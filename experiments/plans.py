@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from conditions import written
 from experiment import Experiment, Options, Row
 from finished import Finished
+from made_scenes import written
 
 from sarsplat import Dataset, import_mstar, read_dataset, target_mesh, write_dataset
 from sarsplat.baselines import BaselineMethod
