@@ -137,6 +137,12 @@ def test_an_import_names_the_remedy(grounded: Dataset, tmp_path: Path, capsys: p
     assert main([*words, "--overwrite", *options]) == 0
 
 
+def test_images_of_one_row_pass() -> None:
+    power = np.random.default_rng(0).exponential(size=(2, 1, 600)).astype(np.float32)
+    views = [(View(azimuth, 30.0), "train") for azimuth in (0.0, 90.0)]
+    assert examine(dataset_of(replace(GRID, rows=1, columns=600), views, power, ground=True)).contradictions == []
+
+
 def test_another_size_and_spacing(bare: Dataset) -> None:
     ship = simulated(0.1, ImageGrid(40, 64, (8.0, 10.0), (12.0, 10.0)), scale=20, azimuths=range(0, 360, 24))
     assert examine(speckled(ship, 1, 0)).contradictions == []

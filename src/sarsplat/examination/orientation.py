@@ -170,7 +170,7 @@ def shadow_sides(levels: Float64[np.ndarray, "v rows columns"], views: Sequence[
     "Behind" is the quadrant around the direction away from that side, to half the shorter side of the images. All
     distances have the same weight; bright pixels are weighted by their decibels.
     """
-    step = math.ceil(max(levels.shape[1:]) / _PIXELS)
+    step = min(math.ceil(max(levels.shape[1:]) / _PIXELS), *levels.shape[1:])
     rows, columns = (pixels // step for pixels in levels.shape[1:])
     padded = next_fast_len(2 * rows), next_fast_len(2 * columns)
     down, right = np.meshgrid(*(np.fft.fftfreq(n, 1 / n) for n in padded), indexing="ij")

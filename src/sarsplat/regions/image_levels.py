@@ -36,9 +36,9 @@ def above_ground_db(
 
 
 def smoothed(power: Float[np.ndarray, "v rows columns"], grid: ImageGrid) -> Float64[np.ndarray, "v rows columns"]:
-    """Smooth images over a resolution cell each way."""
-    width = (0.0, grid.resolution_m[1] / grid.spacing_m[1], grid.resolution_m[0] / grid.spacing_m[0])
-    return gaussian_filter(power.astype(np.float64), width, mode="nearest")
+    """Smooth images over a resolution cell each way, at most over the whole image."""
+    across, away = np.divide(grid.resolution_m, grid.spacing_m)
+    return gaussian_filter(power.astype(np.float64), np.minimum((0.0, away, across), power.shape), mode="nearest")
 
 
 def values_at(

@@ -14,7 +14,7 @@ from torch import Tensor
 from sarsplat.arguments import described
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError
-from sarsplat.gaussians import MIN_SCALE, Gaussians, Scattering, scattering_named
+from sarsplat.gaussians import MIN_SCALE, Gaussians, Harmonics, Scattering, scattering_named
 from sarsplat.gaussians.initialise import BRIGHT_DB, Region, hemisphere_shell, random_quaternions
 from sarsplat.geometry import ImageGrid, Stack
 from sarsplat.learning.parts.part import Learned, Parameters, Part, column_means, late, normal_nats
@@ -102,12 +102,13 @@ class Target(Part):
             means = torch.from_numpy(sample(region, n, generator)).float()
         quaternions, depth = random_quaternions(n, generator), means.new_full((n,), config.initial_optical_depth)
         scales = means.new_tensor(_start_scales_m(config, self._coarsest_m)).repeat(n, 1)
-        scattering = law(config, n, config.initial_scattering, self.frame.stacks)
+        gamma0 = config.initial_scattering
         shows_more = train.ground or config.ground or config.surroundings or self.frame.stacks
         if not (shows_more or config.box_m or train.target_box_m):
-            first = Gaussians(means, quaternions, scales, depth, scattering)
-            gamma0 = _returned_gamma0(first, train, self._levels.grid_at(self._levels.coarsest)) / self.frame.unit
-            scattering = law(config, n, max(config.initial_scattering * min(gamma0, 1.0), _OVER_P_MIN * config.p_min))
+            first = Gaussians(means, quaternions, scales, depth, Harmonics.initial(n, gamma0, config.p_min))
+            returned = _returned_gamma0(first, train, self._levels.grid_at(self._levels.coarsest)) / self.frame.unit
+            gamma0 = max(gamma0 * min(returned, 1.0), _OVER_P_MIN * config.p_min)
+        scattering = law(config, n, gamma0, self.frame.stacks)
         return {
             "means": means,
             "quaternions": quaternions,
