@@ -81,9 +81,8 @@ def log_odds(network: nn.Module, chips: np.ndarray) -> np.ndarray:
 
 
 def _scores(network: nn.Module, chips: np.ndarray) -> torch.Tensor:
-    with torch.autocast("cpu", torch.bfloat16):
-        scores: torch.Tensor = network(_seen(chips))
-    return scores.float()
+    scores: torch.Tensor = network(_seen(chips))
+    return scores
 
 
 def _seen(chips: np.ndarray) -> torch.Tensor:
