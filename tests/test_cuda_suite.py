@@ -81,6 +81,7 @@ def kept(path: Path) -> dict[str, Any]:
     return json.loads(path.read_text(encoding="utf-8"))
 
 
+@pytest.mark.slow
 def test_a_quick_run_fills_every_section_and_the_page(suite, gpu, module, tmp_path, monkeypatch):
     (tool := tmp_path / "compute-sanitizer").write_text("#!/bin/sh\necho ========= ERROR SUMMARY: 0 errors\n")
     tool.chmod(0o755)

@@ -67,6 +67,7 @@ def lines(made: SimpleNamespace, table, results: Sequence[Result], kept: Path | 
     return made.summary.lines(table, runs), runs
 
 
+@pytest.mark.slow
 def test_every_experiment_can_be_run_and_reported(made):
     keys = {metric.key for metric in all_metrics(Yardstick(0.3))}
     of_chips = {*inspect.signature(import_mstar).parameters, "folded"}

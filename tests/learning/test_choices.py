@@ -218,7 +218,7 @@ def test_a_small_target_in_large_images_is_still_small(scene: Dataset, monkeypat
     assert chosen(gained(scene)).preset == "measured"
 
 
-@pytest.mark.parametrize("name", ["scene", "speckled", "quick"])
+@pytest.mark.parametrize("name", ["scene", "speckled"])
 def test_points_and_their_gamma0_follow_the_scale_of_all_images(scene: Dataset, name: str) -> None:
     short = replace(PRESETS[name], iterations=30, points=replace(PRESETS[name].points, voxel=0.3))
     quiet, loud = (

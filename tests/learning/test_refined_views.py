@@ -87,7 +87,7 @@ def test_wrong_azimuths_are_put_right(wrong: tuple[Dataset, np.ndarray], refined
     assert refined.about["azimuth corrections"] == f"rms {rms(offset):.2f}°, largest {abs(offset).max():.2f}°"
 
 
-@pytest.mark.parametrize("what", ["azimuths", "rotations"])
+@pytest.mark.parametrize("what", ["azimuths", pytest.param("rotations", marks=pytest.mark.slow)])
 def test_a_resumed_training_is_the_same(what: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
     """Stopped between two rounds."""
     whole = request.getfixturevalue("refined" if what == "azimuths" else "righted")

@@ -105,7 +105,7 @@ def test_its_points_are_extracted_anew(finished: Run, dataset: Dataset, config: 
     reconstruct(dataset, config, finished.path, resume=True, quiet=True)
 
 
-@pytest.mark.parametrize("tiles", [1, 2])
+@pytest.mark.parametrize("tiles", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_more_iterations_make_no_more_gaussians(dataset: Dataset, config: Config, tiles: int, tmp_path: Path) -> None:
     """Though the levels of a longer training begin again."""
     how, out = replace(config, tiles=tiles), tmp_path / "run"
@@ -147,6 +147,7 @@ def here(jobs: Sequence[TileJob], out: Path, means: Means) -> Ends:
         torch.set_num_threads(before)
 
 
+@pytest.mark.slow
 def test_processes_make_the_same_bits(
     finished: Run, stored: Dataset, config: Config, tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

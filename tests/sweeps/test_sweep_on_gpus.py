@@ -126,6 +126,7 @@ def test_a_worker_ends_with_its_parent(place, endless):
         assert process.wait(timeout=60) == 0
 
 
+@pytest.mark.slow
 def test_runs_in_threads_on_an_emulated_gpu_have_the_same_bits(place, plan, cells, results, library, monkeypatch):
     from emulated_cuda import Emulator, on_emulated_gpu
 
