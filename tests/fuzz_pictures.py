@@ -69,7 +69,7 @@ def read_table(folder: Path) -> object:
 
 def pictures() -> list[bytes]:
     """Of every kind, zeros among each that can be packed."""
-    eight, zeros = (_POWER * 40).astype(np.uint8), np.zeros((1500, 1500), np.uint8)
+    eight, zeros = (_POWER * 40).astype(np.uint8), np.zeros((1000, 1000), np.uint8)
     made = []
     for pixels in (eight, (_POWER * 9000).astype(np.uint16), np.stack([eight] * 3, axis=-1), zeros):
         made.append(_saved(Image.fromarray(pixels), "PNG"))
