@@ -209,11 +209,11 @@ def _read_with_trimesh(path: Path, kind: str, data: bytes) -> Trimesh:
             # Unprocessed: merging vertices would move them. A stream without resolver: no other file can be named.
             scene = trimesh.load_scene(io.BytesIO(data), file_type=kind[1:], process=False, skip_materials=True)
             mesh = scene.to_mesh()
+            if kind == ".glb":  # from y up to z up
+                mesh.vertices = mesh.vertices[:, [0, 2, 1]] * (1, -1, 1)
     except Exception as error:  # parsers behind trimesh raise any exception
         reason = repr(str(error) or type(error).__name__)[:200]
         raise SarsplatError(f"'{path}' cannot be read as a mesh ({reason}); repair it or give another file") from error
-    if kind == ".glb":  # from y up to z up
-        mesh.vertices = mesh.vertices[:, [0, 2, 1]] * (1, -1, 1)
     return mesh
 
 
