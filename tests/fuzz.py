@@ -1,8 +1,8 @@
 """Fuzz every reader of files: python tests/fuzz.py [--inputs 2000] [--seed 0] [--keep FOLDER] [reader …]
 
 Each reader runs in forks of its own, guided by coverage if atheris is installed. An input may be read or refused with
-one sentence; anything else, more than five seconds, or more memory than 4 × its size + 128 MiB is a failure. Failing inputs
-are kept. Prints a table, and exits with code 1 if there was a failure. With a folder to keep, it can be ended at
+one sentence; anything else, more than five seconds, or more memory than 4 × its size + 128 MiB is a failure. Failing
+inputs are kept. Prints a table, and exits with code 1 if there was a failure. With a folder to keep, it can be ended at
 any time: the same command goes on from the last round of every reader.
 """
 
