@@ -160,7 +160,7 @@ def _seen(
     check_heading(heading_deg)
     time, away = _time_and_range(rslc, spot)
     east, north, speed = rslc.geolocation.at(height_m, time, away)
-    up = math.sqrt(max(1 - east**2 - north**2, 0.0))
+    up = math.sqrt(max(1 - east * east - north * north, 0.0))
     if not 0 < up < 1 or not 1 < speed < 1e5:
         raise_damaged(rslc.path, f"has an impossible radar direction {east:g}, {north:g} or speed {speed:g} m/s")
     heading = math.radians(heading_deg)

@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 from sarsplat.data import Dataset
 from sarsplat.geometry import ImageGrid, View
-from sarsplat.radiometry import to_db
+from sarsplat.radiometry import LEAST_POWER, to_db
 
 _QUARTER = 0.6373  # width of the narrowest interval that holds a quarter of normal noise, in standard deviations
 _SURE_DB = 3.0  # minimum level of bright ground, dB above the usual ground; less is speckle
@@ -31,7 +31,7 @@ def above_ground_db(
 ) -> Float64[np.ndarray, "v rows columns"]:
     """Return decibels above each image's ground, smoothed over a resolution cell; `power` is linear."""
     smooth = smoothed(power, grid)
-    level_db = to_db(smooth, np.maximum(np.median(smooth, axis=(1, 2), keepdims=True), np.finfo(float).tiny))
+    level_db = to_db(smooth, np.maximum(np.median(smooth, axis=(1, 2), keepdims=True), LEAST_POWER))
     return level_db - np.array([typical(image)[0] for image in level_db])[:, None, None]
 
 
