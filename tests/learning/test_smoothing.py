@@ -11,7 +11,7 @@ from jaxtyping import Float64
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from sarsplat import Dataset, preset
+from sarsplat import Dataset, View, preset
 from sarsplat.gaussians.gaussians import rotated
 from sarsplat.gaussians.initialise import Region
 from sarsplat.learning import Trainer, scene_frame
@@ -34,9 +34,23 @@ def upright(means: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
 
 
 def planes(means, normals, lit, cell_m: float, radius_m: float, values=None):
-    """`towards_planes` with values of 0 unless given."""
+    """`towards_planes` without light, and with values of 0 unless given."""
     values = np.zeros((len(means), 1)) if values is None else values
-    return towards_planes(means, normals, lit, values, cell_m, radius_m)
+    return towards_planes(means, normals, lit, np.zeros((len(means), 9)), values, cell_m, radius_m)
+
+
+@pytest.mark.parametrize("axes", [[0, 1, 2], [2, 1, 0]], ids=["roof", "wall"])
+def test_a_fog_gets_the_normal_by_which_it_is_lit(axes: list[int]) -> None:
+    """Though its own normals are across, and all light comes from 35 to 50° above the horizon."""
+    means, angle = sheet(0.4)[:, axes], np.random.default_rng(1).uniform(0, 2 * np.pi, 4000)
+    across = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])[:, axes]
+    towards = np.array([View(azimuth, grazing).look.facing for azimuth in range(0, 360, 30) for grazing in (35, 50)])
+    area = (towards @ UP[axes]).clip(min=0)
+    products = [(towards[:, i] * towards[:, j])[area > 0].sum() for i in range(3) for j in range(i, 3)]
+    light = np.tile([*(area @ towards), *products], (4000, 1))
+    for each, expected in ((light, True), (0 * light, False)):
+        normals = towards_planes(means, across, np.ones(4000), each, np.zeros((4000, 1)), 1.0, 3.0)[1]
+        assert (np.quantile(np.abs(normals @ UP[axes]), 0.2) > 0.9) == expected
 
 
 def test_a_bump_in_a_plane_is_drawn_back() -> None:

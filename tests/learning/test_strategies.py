@@ -76,7 +76,12 @@ def test_it_goes_on_as_if_it_had_never_stopped(dataset: Dataset, tmp_path: Path,
     assert whole.tensors["strategy/Restless/changes"].min() > 10
     restless(dataset, stop).save(tmp_path / "stopped.safetensors")
     assert_same(whole, restless(dataset, 30 - stop, Snapshot.load(tmp_path / "stopped.safetensors")))
-    per_gaussian = ("model/means", "strategy/Restless/dim", "strategy/density/gradient", "strategy/density/seen")
+    per_gaussian = (
+        "model/means",
+        "strategy/Restless/rows/dim",
+        "strategy/density/rows/gradient",
+        "strategy/density/rows/seen",
+    )
     assert len({len(whole.tensors[name]) for name in per_gaussian}) == 1
 
 
@@ -84,7 +89,7 @@ def test_a_training_goes_on_only_with_the_strategies_it_was_begun_with(dataset: 
     snapshot = restless(dataset, 1)
     with pytest.raises(SarsplatError, match="begun with the strategies Restless, collective, density, growth"):
         Trainer(dataset, CONFIG).restore(snapshot)
-    damaged = replace(snapshot, tensors=snapshot.tensors | {"strategy/Restless/dim": torch.zeros(3)})
+    damaged = replace(snapshot, tensors=snapshot.tensors | {"strategy/Restless/rows/dim": torch.zeros(3)})
     with pytest.raises(ValueError, match="dim is torch"):
         restless(dataset, 0, damaged)
 

@@ -180,7 +180,7 @@ def merged(parts: Sequence[Snapshot], rows: Collection[str], seconds: float) -> 
 def _of_rows(name: str, rows: Collection[str]) -> bool:
     """Return True if a tensor of a snapshot has a row for each Gaussian."""
     kind, _, which = name.partition("/")
-    return kind in ("model", "optimiser") and which.partition("/")[0] in rows
+    return (kind in ("model", "optimiser") and which.partition("/")[0] in rows) or "/rows/" in which
 
 
 def rows_in(model: SceneModel) -> list[str]:

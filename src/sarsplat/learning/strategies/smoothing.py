@@ -24,6 +24,9 @@ from sarsplat.settings.config import Config
 from sarsplat.settings.sections import Smoothing
 
 _MIN_LIT_SHARE = 0.05  # minimum lit area of a cell, relative to the mean over cells; cells below are ignored
+_DARK = 0.05  # lit area of a Gaussian, relative to its largest in a step, below which a view does not light it
+_KEPT = 0.97  # share of the sums over views that a step keeps: about all views count
+_RIDGE = 0.01  # relative to the trace of the views' second moments, for cells that few views light
 _NORMALS_POWER = 8  # exponent of the cosine between normals in a neighbour's weight: walls hardly count for roofs
 
 _WIDE = (0.1, 0.4)
@@ -32,6 +35,7 @@ edges. The ratio is 1 inside a roof, 0.4 at its edge, and at most 0.15 for parts
 
 _MIN_WIDTH = 1e-4  # minimum of the larger mean squared width, square cells: below are rounding errors of isolated cells
 _BATCH = 1 << 13  # number of planes fitted at once: a few megabytes of pairs
+_ROWS, _COLUMNS = [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]  # of xx, xy, xz, yy, yz and zz in a symmetric matrix
 _FITS = 2  # number of fits of each plane; outliers of one weigh less in the next
 
 
@@ -52,11 +56,22 @@ class Smoothed(Configured):
     def due(self, step: int) -> bool:
         return step > 0 and at_round(step, 0, self._iterations, self._config.rounds)
 
+    def initial_state(self, params: dict[str, Tensor]) -> State:
+        light = torch.zeros(len(params["means"]), 9, dtype=torch.float32, device=params["means"].device)
+        return State(rows={"light": light}, added=("light",))
+
+    @torch.no_grad()
     def step_post_backward(
         self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
     ) -> None:
-        if info.model.levels.coarsest > 1:  # vehicles have no large flat surfaces
-            super().step_post_backward(params, optimizers, state, step, info)
+        if info.model.levels.coarsest == 1:  # vehicles have no large flat surfaces
+            return
+        areas, light = info.rendering.lit_area, state.rows["light"].mul_(_KEPT)
+        for number, area, is_lit in zip(info.chosen, areas, areas > _DARK * areas.amax(0)):
+            towards = area.new_tensor(info.images.views[number].look.facing)
+            light[:, :3] += area[:, None] * towards
+            light[:, 3:] += is_lit[:, None] * towards[_ROWS] * towards[_COLUMNS]
+        super().step_post_backward(params, optimizers, state, step, info)
 
     @torch.no_grad()
     def act(self, params: dict[str, Tensor], optimizers: Optimiser, state: State, info: Info) -> None:
@@ -66,8 +81,9 @@ class Smoothed(Configured):
         axes = rotated(quaternions, torch.zeros_like(scales).scatter_(1, shortest, 1.0))
         lit = info.rendering.lit_area.sum(0)
         scattering = params["scattering"].detach()
-        where, facing, area, values = (tensor.double().cpu().numpy() for tensor in (means, axes, lit, scattering))
-        planes = towards_planes(where, facing, area, values, cell_m, self._config.radius * cell_m)
+        tensors = (means, axes, lit, state.rows["light"], scattering)
+        where, facing, area, light, values = (tensor.double().cpu().numpy() for tensor in tensors)
+        planes = towards_planes(where, facing, area, light, values, cell_m, self._config.radius * cell_m)
         moves, normals, wide, usual = (torch.from_numpy(values).to(means) for values in planes)
         share = self._config.share * wide[:, None]
         means += share * moves
@@ -99,6 +115,7 @@ def towards_planes(
     means: Float64[np.ndarray, "n 3"],
     normals: Float64[np.ndarray, "n 3"],
     lit: Float64[np.ndarray, " n"],
+    light: Float64[np.ndarray, "n 9"],
     values: Float64[np.ndarray, "n k"],
     cell_m: float,
     radius_m: float,
@@ -111,6 +128,9 @@ def towards_planes(
 
     Gaussians in a cube of `cell_m` move together, so that layers keep their thickness. Weights are lit areas, m², and
     fall with distance, with the angle between `normals`, whose signs do not matter, and with distance from the plane.
+    The normal of a cube is the main axis of those of its Gaussians, which are random in a fog, and of the one by which
+    its lit areas depend on the views as those of a plane do. `light` has sums over views: of lit area × direction to
+    the radar, and of products xx, xy, xz, yy, yz and zz of the directions that light a Gaussian.
     """
     cubes = np.floor(means / cell_m).astype(np.int64)
     cubes -= cubes.min(axis=0)
@@ -120,9 +140,15 @@ def towards_planes(
     if not len(lit_cubes):
         return np.zeros_like(means), np.zeros_like(means), np.zeros_like(lit), np.zeros_like(values)
     mean = _sums(owner, lit[:, None] * means)[lit_cubes] / area[lit_cubes, None]
-    squares = np.stack([lit * normals[:, i] * normals[:, j] for i in range(3) for j in range(i, 3)], axis=1)
-    axis = np.linalg.eigh(_symmetric(_sums(owner, squares)[lit_cubes]))[1][:, :, 2]  # mean normal of each cube
     tree, lit_area = cKDTree(mean), area[lit_cubes]
+    towards, products = _sums(owner, light[:, :3])[lit_cubes], _sums(owner, lit[:, None] * light[:, 3:])[lit_cubes]
+    products = _symmetric(products / lit_area[:, None])
+    ridge = _RIDGE * np.trace(products, axis1=1, axis2=2) + np.finfo(np.float32).eps
+    towards = np.linalg.solve(products + ridge[:, None, None] * np.eye(3), towards[:, :, None])[:, :, 0]
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True).clip(min=np.finfo(float).tiny)
+    squares = _sums(owner, lit[:, None] * normals[:, _ROWS] * normals[:, _COLUMNS])[lit_cubes]
+    squares += lit_area[:, None] * towards[:, _ROWS] * towards[:, _COLUMNS]
+    axis = np.linalg.eigh(_symmetric(squares))[1][:, :, 2]  # normal of each cube
     x, y, z = mean.T
     moments = np.column_stack([np.ones(len(mean)), x, y, z, x * x, x * y, x * z, y * y, y * z, z * z])
     moments = np.hstack([moments, _sums(owner, lit[:, None] * values)[lit_cubes] / lit_area[:, None]])

@@ -39,11 +39,12 @@ class State:
         self.rows = {name: followed(rows, source, kept) for name, rows in self.rows.items()}
 
     def tensors(self) -> dict[str, Tensor]:
-        """All state tensors by name, to be saved."""
-        return self.rows | self.whole
+        """All state tensors by name, to be saved; names of those with a row for each Gaussian begin with "rows/"."""
+        return {f"rows/{name}": rows for name, rows in self.rows.items()} | self.whole
 
     def load(self, tensors: dict[str, Tensor]) -> None:
         """Restore `tensors`; raise KeyError or ValueError if they do not fit."""
+        tensors = {name.removeprefix("rows/"): tensor for name, tensor in tensors.items()}  # as earlier versions did
         for own in (self.rows, self.whole):
             for name, like in own.items():
                 if name in tensors or name not in self.added:
