@@ -31,11 +31,7 @@ FLAGS = [
     *("-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast", "-Wall", "-Wextra", "-Wno-psabi"),
 ]
 BASE = ("base", 4, ())  # name, lanes of a vector, flags
-X86 = (
-    BASE,
-    ("avx2", 8, ("-mcpu=x86_64_v3",)),
-    ("avx512", 16, ("-mcpu=x86_64_v4", "-mprefer-vector-width=512")),
-)
+X86 = (BASE, ("avx2", 8, ("-mcpu=x86_64_v3",)), ("avx512", 16, ("-mcpu=x86_64_v4", "-mprefer-vector-width=512")))
 
 
 class Target(NamedTuple):

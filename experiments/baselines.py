@@ -19,10 +19,7 @@ _PAPER_SAR_NERF = {
 }
 """Table II, rendered sets; times on an RTX 3060 Ti."""
 
-_PAPER_CHIPS = {
-    "sar-gs": {"cd_m": 0.179, "f1@0.3": 0.904},
-    "dsr": {"cd_m": 0.196, "f1@0.3": 0.845, "time_s": 596},
-}
+_PAPER_CHIPS = {"sar-gs": {"cd_m": 0.179, "f1@0.3": 0.904}, "dsr": {"cd_m": 0.196, "f1@0.3": 0.845, "time_s": 596}}
 """Table V, the measured T72 against another model; the time on an RTX 2080 Ti."""
 
 

@@ -121,12 +121,7 @@ _SIZES = tuple(
 
 _TIMES = (
     *(
-        Row(
-            f"preset `{name}`",
-            T72,
-            name,
-            paper={"time_s": _published("t72")["time_s"]} if name == "paper" else {},
-        )
+        Row(f"preset `{name}`", T72, name, paper={"time_s": _published("t72")["time_s"]} if name == "paper" else {})
         for name in (*SHORT_TRAININGS, "paper")
     ),
     *(replace(row, group="preset `paper`, no densification") for row in _density("paper", True, NO_DENSIFICATION)),

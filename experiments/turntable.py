@@ -55,11 +55,7 @@ def stepped(train: Dataset, sense: int) -> Dataset:
     """The chips in their order, at even steps of azimuth from 0; the standard deviation is a quarter of a step."""
     step = 360 / len(train)
     entries = tuple(
-        replace(
-            entry,
-            view=replace(entry.view, azimuth_deg=(sense * number * step) % 360),
-            azimuth_std_deg=step / 4,
-        )
+        replace(entry, view=replace(entry.view, azimuth_deg=(sense * number * step) % 360), azimuth_std_deg=step / 4)
         for number, entry in enumerate(train.entries)
     )
     return replace(train, entries=entries)

@@ -46,11 +46,7 @@ def make_chips(folder: Path) -> None:
     azimuths = [10.0 * k for k in range(36)]
     views = [View(-azimuth % 360, 17.0) for azimuth in azimuths]
     power = simulate_images(
-        target_mesh("t72"),
-        views,
-        mstar_grid(),
-        ground_gamma0=0.04,
-        ray_spacing=0.08,
+        target_mesh("t72"), views, mstar_grid(), ground_gamma0=0.04, ray_spacing=0.08
     )
     power = add_speckle(power, 1, np.random.default_rng(0))
     folder.mkdir(exist_ok=True)

@@ -24,15 +24,7 @@ import sarsplat
 from fuzz import Tally, judge, sentence_faults, watched
 from fuzz_inputs import GRID, READERS, Reader, prepare_dataset
 from sarsplat.cli import main
-from sarsplat.data import (
-    load_checkpoint,
-    read_dataset,
-    read_json,
-    read_points_ply,
-    read_tiff,
-    write_json,
-    write_tiff,
-)
+from sarsplat.data import load_checkpoint, read_dataset, read_json, read_points_ply, read_tiff, write_json, write_tiff
 from sarsplat.errors import SarsplatError
 from sarsplat.importers import read_phoenix
 from sarsplat.scenes import load_mesh

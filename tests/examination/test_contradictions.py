@@ -138,9 +138,9 @@ def test_an_import_names_the_remedy(grounded: Dataset, tmp_path: Path, capsys: p
 
 
 def test_images_of_one_row_pass() -> None:
-    power = np.random.default_rng(0).exponential(size=(2, 1, 600)).astype(np.float32)
-    views = [(View(azimuth, 30.0), "train") for azimuth in (0.0, 90.0)]
-    assert examine(dataset_of(replace(GRID, rows=1, columns=600), views, power, ground=True)).contradictions == []
+    power = np.random.default_rng(0).exponential(size=(1, 1, 600)).astype(np.float32)
+    dataset = dataset_of(replace(GRID, rows=1, columns=600), [(View(0, 30), "train")], power, ground=True)
+    assert examine(dataset).contradictions == []
 
 
 def test_another_size_and_spacing(bare: Dataset) -> None:

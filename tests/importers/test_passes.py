@@ -63,10 +63,7 @@ def test_phases_between_passes_are_those_of_heights(tmp_path, transmit, conjugat
         signals.append(response * np.exp(-1j * per_metre * (farther - level)))
     signal = np.stack(signals).astype(np.complex64)
     folder = write_passes(
-        tmp_path / "in",
-        [signal.conj() if conjugate else signal],
-        {"baseline": list(STACK.offsets_rad)},
-        views=[view],
+        tmp_path / "in", [signal.conj() if conjugate else signal], {"baseline": list(STACK.offsets_rad)}, views=[view]
     )
     made = import_passes(folder, transmit=transmit, conjugate=conjugate, flattened=flattened)
     [stack] = made.stacks

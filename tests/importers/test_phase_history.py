@@ -224,10 +224,7 @@ def test_the_command(files, tmp_path, capsys):
     dataset = read_dataset(tmp_path / "out")
     assert dataset.source["around_m"] == [1, 0, 0]
     assert peak(dataset[0].signal, dataset.grid) == pytest.approx((0, 0), abs=0.02)
-    for wrong, said in (
-        ("--around=here", "write it as 12,-7.5"),
-        ("--size=wide", "is not a number; write it as 64"),
-    ):
+    for wrong, said in (("--around=here", "write it as 12,-7.5"), ("--size=wide", "is not a number; write it as 64")):
         assert main(["import", "phase-history", *words, "--overwrite", wrong]) == 2
         assert said in capsys.readouterr().err
 
@@ -238,11 +235,7 @@ def test_measured_pulses_are_sharp_and_the_autofocus_makes_them_so():
     (found,) = apertures(*flights([read_gotcha(path)]), around_m=np.zeros(3), width_deg=None)
     grid = ImageGrid(60, 60, (0.3, 0.3), (0.3, 0.3), (-21.0, 10.5))  # around a calibration target
     as_flown = read_mat(path)["data"]
-    raw = replace(
-        found.history,
-        reference_m=as_flown["r0"].ravel().astype(float),
-        samples=as_flown["fp"],
-    )
+    raw = replace(found.history, reference_m=as_flown["r0"].ravel().astype(float), samples=as_flown["fp"])
     contrast = []
     for history in (raw, found.history):
         power = np.abs(focus(replace(found, history=history), grid, Taylor())) ** 2

@@ -110,9 +110,7 @@ def on_orbit(longitude_deg: float, height_m: float, time_s: float, range_m: floa
 
 
 def grid_on_orbit(longitude_deg: float, turned: bool = False) -> dict[str, Any]:
-    places = np.array(
-        [[[on_orbit(longitude_deg, h, t, r) for r in NODES[2]] for t in NODES[1]] for h in NODES[0]],
-    )
+    places = np.array([[[on_orbit(longitude_deg, h, t, r) for r in NODES[2]] for t in NODES[1]] for h in NODES[0]])
     west = np.full(places.shape[:3], np.sqrt(1 - np.sin(np.radians(55.0)) ** 2))
     step = -1 if turned else 1
     return {
@@ -172,10 +170,7 @@ def test_a_coarse_grid_may_fall(tmp_path):
     seen = [
         imported(
             tmp_path,
-            changed={
-                "Grid/heightAboveEllipsoid": np.array([-500.0, 500.0])[::step],
-                "losUnitVectorX": -west[::step],
-            },
+            changed={"Grid/heightAboveEllipsoid": np.array([-500.0, 500.0])[::step], "losUnitVectorX": -west[::step]},
             height_m=200.0,
         ).views[0]
         for step in (1, -1)
@@ -208,11 +203,7 @@ def test_images_of_a_left_looking_radar_are_laid_out_as_those_of_a_right_looking
         ({"CenterFrequency": 3.0}, {}, "has 3.0 as .*CenterFrequency, not a number from 1e.08 to 1e.12"),
         ({"lookDirection": np.bytes_("up")}, {}, "says that its radar looks 'up', not left or right"),
         ({"frequencyA/slantRange": RANGES[::-1]}, {}, "numbers that do not rise as .*slantRange"),
-        (
-            {"Grid/heightAboveEllipsoid": np.array([0.0, 9.0, 3.0])},
-            {},
-            "neither rise nor fall as .*heightAbove",
-        ),
+        ({"Grid/heightAboveEllipsoid": np.array([0.0, 9.0, 3.0])}, {}, "neither rise nor fall as .*heightAbove"),
         ({"frequencyA/HH": np.zeros((0, 30), complex)}, {}, "no pixels of HH, HV, VH, VV in .*; it describes images"),
         ({f"A/{name}": None for name in QUAD}, {}, "no images in .*frequencyA; it describes images without holding"),
         ({"frequencyA/slantRange": RANGES[:-1]}, {}, "40 azimuth times and 29 slant ranges for .40, 30"),

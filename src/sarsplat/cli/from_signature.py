@@ -23,16 +23,7 @@ import tyro
 
 from sarsplat import names
 from sarsplat.cli import console
-from sarsplat.cli.arguments import (
-    Folder,
-    OptionalFile,
-    TargetBox,
-    corners,
-    heights,
-    numbers,
-    one_of,
-    refuse_existing,
-)
+from sarsplat.cli.arguments import Folder, OptionalFile, TargetBox, corners, heights, numbers, one_of, refuse_existing
 from sarsplat.cli.commands import first_paragraph
 from sarsplat.errors import counted
 from sarsplat.extras import install_command

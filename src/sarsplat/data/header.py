@@ -57,8 +57,7 @@ class StackHeader(Strict, frozen=True, omit_defaults=True):
 
     wavelength_m: Annotated[float, about("λ, m, > 0")]
     offsets_rad: Annotated[
-        tuple[float, ...],
-        about("elevation of each pass's antenna above the view's direction, b/R, rad", minItems=1),
+        tuple[float, ...], about("elevation of each pass's antenna above the view's direction, b/R, rad", minItems=1)
     ]
     transmit: Annotated[
         Literal["each", "one"], about("transmitting antennas: one for each pass (k = 4π/λ) or one for all (2π/λ)")
@@ -75,8 +74,7 @@ class TurnHeader(Strict, frozen=True, omit_defaults=True):
 
     axis: Annotated[Point, about("rotation axis, counter-clockwise seen from its tip, target's frame")]
     angle_deg: Annotated[
-        float,
-        about("rotation since the beginning of the pass, degrees", minimum=-36000, maximum=36000),
+        float, about("rotation since the beginning of the pass, degrees", minimum=-36000, maximum=36000)
     ]
     axis_std_deg: Annotated[
         float, about("standard deviation of the axis in both directions across it, degrees", minimum=0, maximum=10)
@@ -104,8 +102,7 @@ class ViewHeader(Strict, frozen=True, omit_defaults=True):
         ),
     ]
     split: Annotated[
-        str,
-        about('"train", or a test set: a name that starts with "test", such as "test-17"', pattern=f"^({SPLIT})$"),
+        str, about('"train", or a test set: a name that starts with "test", such as "test-17"', pattern=f"^({SPLIT})$")
     ]
     name: Annotated[str, about("name of the image, such as the path of the measured chip")]
     azimuth_std_deg: Annotated[
@@ -126,8 +123,7 @@ class ViewHeader(Strict, frozen=True, omit_defaults=True):
     apart_deg: Annotated[float | msgspec.UnsetType, _RETIRED] = msgspec.UNSET
     apart_towards_deg: Annotated[float | msgspec.UnsetType, _RETIRED] = msgspec.UNSET
     stretch: Annotated[
-        float,
-        about("length along azimuth in the image for each metre of a target aloft", minimum=0.5, maximum=2),
+        float, about("length along azimuth in the image for each metre of a target aloft", minimum=0.5, maximum=2)
     ] = 1.0
     turn: Annotated[
         TurnHeader | None, about("rotation of a target aloft by which the frame was made; null if unknown")

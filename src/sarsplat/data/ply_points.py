@@ -52,9 +52,7 @@ def write_ply(path: Path, columns: Mapping[str, Real[np.ndarray, " n"]], comment
 
 
 def read_ply(
-    path: Path,
-    wanted: Callable[[str, list[str]], bool] | None = None,
-    exact: Collection[str] = (),
+    path: Path, wanted: Callable[[str, list[str]], bool] | None = None, exact: Collection[str] = ()
 ) -> tuple[dict[str, Float[np.ndarray, " n"]], list[str]]:
     """Read properties of vertices, by name, as float32, those named `exact` as float64, and the comments.
 

@@ -145,11 +145,7 @@ def _upright(dataset: Dataset, examined: Examination) -> Dataset:
         examined.contradictions.append(_incidence(dataset, estimate))
     examined.orientations.extend(_table(estimate, layout or Layout()))
     return replace(
-        dataset,
-        power=oriented(dataset.power, near),
-        signal=None,
-        grid=turned_grid(dataset.grid, near),
-        ground=ground,
+        dataset, power=oriented(dataset.power, near), signal=None, grid=turned_grid(dataset.grid, near), ground=ground
     )
 
 

@@ -76,10 +76,7 @@ class Harmonics(Scattering):
         return f"{self.kind} of degree {self.degree}"
 
     def amplitudes(
-        self,
-        directions: Float[Tensor, "v 3"],
-        quaternions: Float[Tensor, "n 4"],
-        scales: Float[Tensor, "n 3"],
+        self, directions: Float[Tensor, "v 3"], quaternions: Float[Tensor, "n 4"], scales: Float[Tensor, "n 3"]
     ) -> Float[Tensor, "v n 1"]:
         """See `Scattering.amplitudes`; independent of orientation and shape."""
         return (self.p_min + softplus(harmonic_basis(directions, self.degree) @ self.parameters.T))[..., None]

@@ -59,10 +59,7 @@ class NormalLobes(Scattering):
         return f"{self.kind}, γ⁰ = {self.p_min:g} + b₀ + b₁·|n·u|ᵉ" + (f", e = {' … '.join(shown)}" if shown else "")
 
     def amplitudes(
-        self,
-        directions: Float[Tensor, "v 3"],
-        quaternions: Float[Tensor, "n 4"],
-        scales: Float[Tensor, "n 3"],
+        self, directions: Float[Tensor, "v 3"], quaternions: Float[Tensor, "n 4"], scales: Float[Tensor, "n 3"]
     ) -> Float[Tensor, "v n 1"]:
         """See `Scattering.amplitudes`."""
         shortest = one_hot(scales.detach().argmin(dim=1), 3)

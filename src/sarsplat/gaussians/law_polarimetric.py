@@ -68,10 +68,7 @@ class Polarimetric(Scattering):
         return tuple(self._shape + harmonics for harmonics in (1, 4, 9, 16))
 
     def amplitudes(
-        self,
-        directions: Float[Tensor, "v 3"],
-        quaternions: Float[Tensor, "n 4"],
-        scales: Float[Tensor, "n 3"],
+        self, directions: Float[Tensor, "v 3"], quaternions: Float[Tensor, "n 4"], scales: Float[Tensor, "n 3"]
     ) -> Float[Tensor, "v n c"]:
         """See `Scattering.amplitudes`; independent of orientation and shape."""
         coefficients = torch.cat([self.parameters[:, :1], self.parameters[:, 1 + self._shape :]], dim=1)

@@ -90,10 +90,7 @@ class Scattering(ABC):
 
     @abstractmethod
     def amplitudes(
-        self,
-        directions: Float[Tensor, "v 3"],
-        quaternions: Float[Tensor, "n 4"],
-        scales: Float[Tensor, "n 3"],
+        self, directions: Float[Tensor, "v 3"], quaternions: Float[Tensor, "n 4"], scales: Float[Tensor, "n 3"]
     ) -> Float[Tensor, "v n c"]:
         """Amplitudes of each channel per lit area [V, N, C] towards unit vectors u [V, 3] of the world frame.
 

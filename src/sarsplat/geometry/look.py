@@ -47,12 +47,7 @@ class Look:
 
     @classmethod
     def of(
-        cls,
-        azimuth_deg: float,
-        grazing_deg: float,
-        tilt_deg: float = 0.0,
-        left: bool = False,
-        stretch: float = 1.0,
+        cls, azimuth_deg: float, grazing_deg: float, tilt_deg: float = 0.0, left: bool = False, stretch: float = 1.0
     ) -> Self:
         """Compute it from a view's angles; source: SAR-GS, eq. (5), for level azimuth and a right-looking radar."""
         phi, theta, tau = math.radians(azimuth_deg), math.radians(grazing_deg), math.radians(tilt_deg)

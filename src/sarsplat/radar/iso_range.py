@@ -49,11 +49,7 @@ class Pixel:
 
 @checks_arguments
 def iso_range_line(
-    view: View,
-    grid: ImageGrid,
-    pixel: Pixel,
-    low: Real[np.ndarray, " 3"],
-    high: Real[np.ndarray, " 3"],
+    view: View, grid: ImageGrid, pixel: Pixel, low: Real[np.ndarray, " 3"], high: Real[np.ndarray, " 3"]
 ) -> Float64[np.ndarray, "2 3"] | None:
     """Line of all places in a box that appear in a pixel, whatever their height.
 

@@ -15,13 +15,7 @@ from sarsplat.progress import stage
 FREE, SHADOW, LAYOVER, BOTH, UNKNOWN = 0, 1, 2, 3, 255
 """Classes, as in the mask layer of OPERA's radiometrically terrain-corrected products."""
 
-LEGEND = {
-    FREE: "neither",
-    SHADOW: "shadow",
-    LAYOVER: "layover",
-    BOTH: "layover and shadow",
-    UNKNOWN: "height unknown",
-}
+LEGEND = {FREE: "neither", SHADOW: "shadow", LAYOVER: "layover", BOTH: "layover and shadow", UNKNOWN: "height unknown"}
 
 _STEP = 0.5  # spacing of sampled places, pixels of the map
 _AT_A_TIME = 1 << 22  # places in a batch

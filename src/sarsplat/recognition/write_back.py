@@ -73,9 +73,6 @@ def write_back(located: Located, dataset: str | Path, out: str | Path, *, overwr
     if left:
         source[UNPLACED] = left
     after = replace(
-        before,
-        entries=(*before.entries, *entries),
-        power=np.concatenate([before.power, images]),
-        source=source,
+        before, entries=(*before.entries, *entries), power=np.concatenate([before.power, images]), source=source
     )
     return write_dataset(out, after, overwrite=overwrite)

@@ -35,10 +35,7 @@ def stack_region(train: Dataset, box: Box | None = None) -> Region:
     half_azimuth, half_range = grid.columns * grid.spacing_m[0] / 2, grid.rows * grid.spacing_m[1] / 2
     if box is None:
         heights = [
-            min(
-                stack.ambiguous_elevation_m * view.look.height_per_elevation,
-                2 * half_range / view.look.sine,
-            )
+            min(stack.ambiguous_elevation_m * view.look.height_per_elevation, 2 * half_range / view.look.sine)
             for stack, view in zip(train.stacks, train.views, strict=True)
         ]
         tallest = float(target_region(train, ground=True).high[2]) / (1 - _BELOW) if blind else min(heights)

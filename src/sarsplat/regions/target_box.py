@@ -96,9 +96,7 @@ def standing_out(
 
 
 def _objects(
-    above_db: Float64[np.ndarray, "side side"],
-    sure: Bool[np.ndarray, "side side"],
-    part: Int[np.ndarray, "side side"],
+    above_db: Float64[np.ndarray, "side side"], sure: Bool[np.ndarray, "side side"], part: Int[np.ndarray, "side side"]
 ) -> Int[np.ndarray, " k"]:
     """Numbers of the parts that are objects: peaks are no noise, and at least half the target's bright level, dB."""
     bright_db = float(np.quantile(above_db[sure], _BRIGHT_PART))
@@ -145,9 +143,7 @@ def _parts(
 ) -> tuple[Int[np.ndarray, "side side"], int]:
     """Label the connected parts that are probably brighter than the ground, from 1; also return their number."""
     threshold_db = max(
-        _FAINTEST_DB,
-        _PROBABLE * typical(above_db)[1],
-        float(np.quantile(above_db[sure], _BRIGHT_PART)) - _GLINT_DB,
+        _FAINTEST_DB, _PROBABLE * typical(above_db)[1], float(np.quantile(above_db[sure], _BRIGHT_PART)) - _GLINT_DB
     )
     return label(above_db > threshold_db)
 

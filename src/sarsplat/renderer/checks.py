@@ -38,11 +38,7 @@ _MAX_PIXELS = 32_767  # maximum side of an image on the CPU engine; up to 4,096 
 
 
 def check_shapes(
-    gaussians: Gaussians,
-    views: Sequence[View],
-    amplitudes: Tensor | None,
-    shift: Tensor | None,
-    gain: Tensor | None,
+    gaussians: Gaussians, views: Sequence[View], amplitudes: Tensor | None, shift: Tensor | None, gain: Tensor | None
 ) -> None:
     """Raise if there are no views, or a tensor has a shape that does not fit them."""
     if not views:

@@ -18,12 +18,7 @@ from sarsplat.renderer.engines.operation import Operation
 from sarsplat.renderer.engines.passes import NewPass, Pass
 from sarsplat.renderer.engines.problem import directions_to, foot_shift
 from sarsplat.renderer.engines.stages import Attenuate, Bounce, PressedFlat, Project, Render, Splat
-from sarsplat.renderer.reference import (
-    attenuate_reference,
-    pressed_flat_reference,
-    project_reference,
-    splat_reference,
-)
+from sarsplat.renderer.reference import attenuate_reference, pressed_flat_reference, project_reference, splat_reference
 from sarsplat.renderer.rendering import Attenuation, Footprints, Projection, RayMap, Rendering, Waves, scaled
 
 

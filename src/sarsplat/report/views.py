@@ -14,15 +14,7 @@ from sarsplat.evaluation import IMAGE_METRICS, Metric, UndefinedScore, predicted
 from sarsplat.evaluation.metrics import ImagePair
 from sarsplat.radiometry import white_level
 from sarsplat.report.figure import Block, Figure, Panel, polyline
-from sarsplat.report.images import (
-    Difference,
-    Images,
-    Part,
-    fitted,
-    power_bar,
-    target_window,
-    view_name,
-)
+from sarsplat.report.images import Difference, Images, Part, fitted, power_bar, target_window, view_name
 from sarsplat.runs import Run
 
 _VIEWS = 8

@@ -32,14 +32,7 @@ from sarsplat.learning.sampler import LEARNED, UNIFORM
 from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side, Speckle
 from sarsplat.progress import progress
 from sarsplat.samples.chip_set import Chips
-from sarsplat.samples.encoding import (
-    ENDINGS,
-    IMPORT_COLUMNS,
-    LABELS,
-    encoded_table,
-    unusual_columns,
-    unusual_values,
-)
+from sarsplat.samples.encoding import ENDINGS, IMPORT_COLUMNS, LABELS, encoded_table, unusual_columns, unusual_values
 
 _COLUMNS = ("path", "class", "azimuth_deg", "grazing_deg", "seed", "run", *IMPORT_COLUMNS, "near_side")
 

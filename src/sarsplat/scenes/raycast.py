@@ -224,13 +224,7 @@ def _above_ground(facets: Facets, trace: Trace, look: Look) -> Trace:
     return above
 
 
-def ray_error_db(
-    mesh: Trimesh,
-    view: View,
-    grid: ImageGrid,
-    law: ScatteringLaw,
-    **settings: Any,
-) -> float | None:
+def ray_error_db(mesh: Trimesh, view: View, grid: ImageGrid, law: ScatteringLaw, **settings: Any) -> float | None:
     """Estimate the error of an image by its rays: RMS, dB, over pixels within 30 dB of the brightest; None if empty.
 
     It compares two images with different rays of the same spacing; `settings` are those of `RayCaster`.

@@ -18,12 +18,7 @@ from sarsplat.scenes._parallel import in_order
 from sarsplat.scenes._second_bounce import BY_GROUND
 from sarsplat.scenes.placement import warn_below_ground
 from sarsplat.scenes.raycast import RayCaster, default_ray_spacing
-from sarsplat.scenes.scattering import (
-    ScatteringLaw,
-    check_ground,
-    check_reflectivity,
-    raise_first,
-)
+from sarsplat.scenes.scattering import ScatteringLaw, check_ground, check_reflectivity, raise_first
 from sarsplat.scenes.splat_truth import law_by_ground, law_scattering, surface_gaussians
 
 # Protocol R: nodes of the ray caster, and Gaussians and rays of the splat truth, per pixel spacing.

@@ -283,8 +283,7 @@ class Surroundings(Record):
 
     _section: ClassVar[str] = "surroundings."
     _gone: ClassVar[Mapping[str, str]] = dict.fromkeys(
-        ("ground_pitch", "ground_std"),
-        "ground is a plane now, so train again (settings: ground.pitch, ground.std)",
+        ("ground_pitch", "ground_std"), "ground is a plane now, so train again (settings: ground.pitch, ground.std)"
     )
 
     noise_floor: Positive = 0.05

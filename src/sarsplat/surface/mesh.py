@@ -162,9 +162,7 @@ def _bricks(
     return [(_BRICK * np.array(key), np.concatenate(parts)) for key, parts in sorted(members.items())]
 
 
-def _welded(
-    vertices: Float64[np.ndarray, "v 3"],
-) -> tuple[Float64[np.ndarray, "w 3"], Int64[np.ndarray, " v"]]:
+def _welded(vertices: Float64[np.ndarray, "v 3"]) -> tuple[Float64[np.ndarray, "w 3"], Int64[np.ndarray, " v"]]:
     """Merge the vertices (in voxels) that touching bricks share; return them and the new index of each old one.
 
     An edge between two voxels has one vertex at most, with different rounding in the two bricks.
@@ -254,11 +252,7 @@ class Planes:
 
     @classmethod
     def through(
-        cls,
-        points: Float64[np.ndarray, "p 3"],
-        normals: Real[np.ndarray, "p 3"],
-        cell_m: float,
-        device: torch.device,
+        cls, points: Float64[np.ndarray, "p 3"], normals: Real[np.ndarray, "p 3"], cell_m: float, device: torch.device
     ) -> "Planes":
         """Planes through oriented points, calculated on a device."""
         cloud, sample = torch.from_numpy(points).to(device), slice(None, None, math.ceil(len(points) / _MEASURED))

@@ -146,11 +146,7 @@ def imaged(points: Float64[np.ndarray, "p 3"], view: View, grid: ImageGrid) -> B
 
 
 def _seen_points(
-    gaussians: Gaussians,
-    views: Sequence[View],
-    grid: ImageGrid,
-    how: PointExtraction,
-    terrain: Terrain | None,
+    gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, how: PointExtraction, terrain: Terrain | None
 ) -> Float64[np.ndarray, "p 3"]:
     """Means of first returns in voxels, without those that too many views look through or too few see."""
     cell, rays, chosen = grid.cell_m, RayGrid.for_image(grid, how.rays_per_pixel), spread(views)

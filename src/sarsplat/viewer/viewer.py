@@ -34,15 +34,7 @@ from sarsplat.viewer.pictures import (
 )
 from sarsplat.viewer.server import HOST, Newest, start_server, stop_server
 from sarsplat.viewer.stage import Stage
-from sarsplat.viewer.subject import (
-    TRUTH,
-    Cloud,
-    Contributors,
-    Subject,
-    dataset_subject,
-    scene_of,
-    training_subject,
-)
+from sarsplat.viewer.subject import TRUTH, Cloud, Contributors, Subject, dataset_subject, scene_of, training_subject
 
 _MARGIN = 1.4  # half side of the zoomed part of an image, in radii of the target: room for shadow
 _GAMMA0_DB = 30.0  # dynamic range of γ⁰

@@ -137,56 +137,53 @@ def towards_planes(
     _, owner = np.unique(np.ravel_multi_index(tuple(cubes.T), cubes.max(axis=0) + 1), return_inverse=True)
     area = np.bincount(owner, lit)
     (lit_cubes,) = np.nonzero(area > _MIN_LIT_SHARE * area.mean())
-    if not len(lit_cubes):
-        return np.zeros_like(means), np.zeros_like(means), np.zeros_like(lit), np.zeros_like(values)
-    mean = _sums(owner, lit[:, None] * means)[lit_cubes] / area[lit_cubes, None]
-    tree, lit_area = cKDTree(mean), area[lit_cubes]
-    towards, products = _sums(owner, light[:, :3])[lit_cubes], _sums(owner, lit[:, None] * light[:, 3:])[lit_cubes]
-    products = _symmetric(products / lit_area[:, None])
+    lit_area, rows = area[lit_cubes], np.zeros((len(area), 7 + values.shape[1]))
+
+    def sums(columns: Float[np.ndarray, "n k"]) -> Float64[np.ndarray, "m k"]:
+        """Sum over the Gaussians of each lit cube."""
+        return np.stack([np.bincount(owner, column) for column in columns.T], axis=1)[lit_cubes]
+
+    mean = sums(lit[:, None] * means) / lit_area[:, None]
+    tree, (x, y, z) = cKDTree(mean), mean.T
+    products = _symmetric(sums(lit[:, None] * light[:, 3:]) / lit_area[:, None])
     ridge = _RIDGE * np.trace(products, axis1=1, axis2=2) + np.finfo(np.float32).eps
-    towards = np.linalg.solve(products + ridge[:, None, None] * np.eye(3), towards[:, :, None])[:, :, 0]
-    towards /= np.linalg.norm(towards, axis=1, keepdims=True).clip(min=np.finfo(float).tiny)
-    squares = _sums(owner, lit[:, None] * normals[:, _ROWS] * normals[:, _COLUMNS])[lit_cubes]
-    squares += lit_area[:, None] * towards[:, _ROWS] * towards[:, _COLUMNS]
-    axis = np.linalg.eigh(_symmetric(squares))[1][:, :, 2]  # normal of each cube
-    x, y, z = mean.T
+    normal = np.linalg.solve(products + ridge[:, None, None] * np.eye(3), sums(light[:, :3])[:, :, None])[:, :, 0]
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True).clip(min=np.finfo(float).tiny)
+    squares = sums(lit[:, None] * normals[:, _ROWS] * normals[:, _COLUMNS])
+    squares += lit_area[:, None] * normal[:, _ROWS] * normal[:, _COLUMNS]
+    axis = np.linalg.eigh(_symmetric(squares))[1][:, :, 2]
     moments = np.column_stack([np.ones(len(mean)), x, y, z, x * x, x * y, x * z, y * y, y * z, z * z])
-    moments = np.hstack([moments, _sums(owner, lit[:, None] * values)[lit_cubes] / lit_area[:, None]])
-    usual = np.zeros((len(area), values.shape[1]))
-    plane, height, spreads = axis.copy(), np.zeros(len(mean)), np.zeros((len(mean), 3))
+    moments = np.hstack([moments, sums(lit[:, None] * values) / lit_area[:, None]])
 
     def fit(first: int) -> None:
         """Fit the planes of a batch of cubes; results do not depend on the size of the batch."""
         batch = slice(first, first + _BATCH)
-        places = mean[batch]
+        places, plane = mean[batch], axis[batch]
+        height = np.zeros(len(places))
         pairs = cKDTree(places).sparse_distance_matrix(tree, radius_m, output_type="ndarray")
         weights = csr_matrix((np.ones(len(pairs)), (pairs["i"], pairs["j"])), (len(places), tree.n))
         i, j = np.repeat(np.arange(len(places)), np.diff(weights.indptr)), weights.indices  # pairs of neighbours
         distance = mean[j] - places[i]
-        similarity = np.einsum("pi,pi->p", axis[batch][i], axis[j]) ** _NORMALS_POWER
+        similarity = np.einsum("pi,pi->p", plane[i], axis[j]) ** _NORMALS_POWER
         nearness = lit_area[j] * similarity * np.exp(-2 / radius_m**2 * np.einsum("pi,pi->p", distance, distance))
         for _ in range(_FITS):
-            offset = np.einsum("pi,pi->p", distance, plane[batch][i]) - height[batch][i]
+            offset = np.einsum("pi,pi->p", distance, plane[i]) - height[i]
             weights.data = nearness * (1 - (offset / cell_m) ** 2).clip(min=0) ** 2  # Tukey's
-            sums = weights @ moments
-            centre = sums[:, 1:4] / sums[:, :1]
-            spread = _symmetric(sums[:, 4:10] / sums[:, :1]) - centre[:, :, None] * centre[:, None, :]
-            spreads[batch], axes = np.linalg.eigh(spread)
-            plane[batch] = axes[:, :, 0]
-            height[batch] = ((centre - places) * plane[batch]).sum(1)
-        usual[lit_cubes[batch]] = sums[:, 10:] / sums[:, :1]
+            total = weights @ moments
+            centre = total[:, 1:4] / total[:, :1]
+            spread = _symmetric(total[:, 4:10] / total[:, :1]) - centre[:, :, None] * centre[:, None, :]
+            spreads, axes = np.linalg.eigh(spread)
+            plane = axes[:, :, 0]
+            height = ((centre - places) * plane).sum(1)
+        wide = np.interp(spreads[:, 1] / spreads[:, 2].clip(min=_MIN_WIDTH * cell_m**2), _WIDE, (0, 1))
+        usual = total[:, 10:] / total[:, :1]
+        rows[lit_cubes[batch]] = np.column_stack([height[:, None] * plane, plane, wide, usual])
 
     with ThreadPoolExecutor(torch.get_num_threads()) as threads:
         for _ in threads.map(fit, range(0, len(mean), _BATCH)):
             pass
-    moves, normals, wide = np.zeros((len(area), 3)), np.zeros((len(area), 3)), np.zeros(len(area))
-    moves[lit_cubes], normals[lit_cubes] = height[:, None] * plane, plane
-    wide[lit_cubes] = np.interp(spreads[:, 1] / spreads[:, 2].clip(min=_MIN_WIDTH * cell_m**2), _WIDE, (0, 1))
-    return moves[owner], normals[owner], wide[owner], usual[owner]
-
-
-def _sums(owner: np.ndarray, rows: Float[np.ndarray, "n k"]) -> Float64[np.ndarray, "m k"]:
-    return np.stack([np.bincount(owner, column) for column in rows.T], axis=1)
+    moves, planes, wide, usual = np.split(rows[owner], (3, 6, 7), axis=1)
+    return moves, planes, wide[:, 0], usual
 
 
 def _symmetric(six: Float64[np.ndarray, "m 6"]) -> Float64[np.ndarray, "m 3 3"]:

@@ -76,11 +76,7 @@ class GroundEcho(Echo):
 
 
 def free_plane(
-    ground: Ground,
-    height_m: float,
-    views: Sequence[View],
-    grid: ImageGrid,
-    shift: Float[Tensor, "v 2"] | None = None,
+    ground: Ground, height_m: float, views: Sequence[View], grid: ImageGrid, shift: Float[Tensor, "v 2"] | None = None
 ) -> Float[Tensor, "v {grid.rows} {grid.columns}"]:
     """Return β⁰ of a plane that nothing hides."""
     table, device = ground.gamma0, ground.gamma0.device
