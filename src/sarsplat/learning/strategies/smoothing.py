@@ -24,9 +24,9 @@ from sarsplat.settings.config import Config
 from sarsplat.settings.sections import Smoothing
 
 _MIN_LIT_SHARE = 0.05  # minimum lit area of a cell, relative to the mean over cells; cells below are ignored
-_DARK = 0.05  # lit area of a Gaussian, relative to its largest in a step, below which a view does not light it
-_KEPT = 0.97  # share of the sums over views that a step keeps: about all views count
-_RIDGE = 0.01  # relative to the trace of the views' second moments, for cells that few views light
+_DARK = 0.05  # lit area of a Gaussian, relative to its largest among a step's views, below which one does not light it
+_KEPT = 0.97  # share of the sums over views that a step keeps: those of 33 steps count
+_RIDGE = 0.01  # relative to the trace of the directions' products, for cells that few views light
 _NORMALS_POWER = 8  # exponent of the cosine between normals in a neighbour's weight: walls hardly count for roofs
 
 _WIDE = (0.1, 0.4)
@@ -67,7 +67,7 @@ class Smoothed(Configured):
         if info.model.levels.coarsest == 1:  # vehicles have no large flat surfaces
             return
         areas, light = info.rendering.lit_area, state.rows["light"].mul_(_KEPT)
-        for number, area, is_lit in zip(info.chosen, areas, areas > _DARK * areas.amax(0)):
+        for number, area, is_lit in zip(info.chosen, areas, areas > _DARK * areas.amax(0), strict=True):
             towards = area.new_tensor(info.images.views[number].look.facing)
             light[:, :3] += area[:, None] * towards
             light[:, 3:] += is_lit[:, None] * towards[_ROWS] * towards[_COLUMNS]
@@ -79,8 +79,7 @@ class Smoothed(Configured):
         quaternions, scales = params["quaternions"].detach(), params["scales"].detach()
         shortest = scales.argmin(1, keepdim=True)
         axes = rotated(quaternions, torch.zeros_like(scales).scatter_(1, shortest, 1.0))
-        lit = info.rendering.lit_area.sum(0)
-        scattering = params["scattering"].detach()
+        lit, scattering = info.rendering.lit_area.sum(0), params["scattering"].detach()
         tensors = (means, axes, lit, state.rows["light"], scattering)
         where, facing, area, light, values = (tensor.double().cpu().numpy() for tensor in tensors)
         planes = towards_planes(where, facing, area, light, values, cell_m, self._config.radius * cell_m)
@@ -124,13 +123,13 @@ def towards_planes(
 ]:
     """Vector from each Gaussian to the plane of its neighbours (m), the plane's normal, its width, and mean values.
 
-    The width is from 0, for a mast or a rail, to 1, inside a surface; all are 0 for Gaussians that are not lit.
+    The width is from 0, for a mast or a rail, to 1, inside a surface; all are 0 in cubes that are hardly lit.
 
     Gaussians in a cube of `cell_m` move together, so that layers keep their thickness. Weights are lit areas, m², and
     fall with distance, with the angle between `normals`, whose signs do not matter, and with distance from the plane.
-    The normal of a cube is the main axis of those of its Gaussians, which are random in a fog, and of the one by which
-    its lit areas depend on the views as those of a plane do. `light` has sums over views: of lit area × direction to
-    the radar, and of products xx, xy, xz, yy, yz and zz of the directions that light a Gaussian.
+    A cube's first normal is the main axis of its Gaussians' normals, which are random in a fog, and, with the same
+    weight, of the normal n by which its lit areas in directions u are proportional to n·u. `light` has sums over
+    views: of lit area × u, and of the products xx, xy, xz, yy, yz and zz of those u that light a Gaussian.
     """
     cubes = np.floor(means / cell_m).astype(np.int64)
     cubes -= cubes.min(axis=0)
@@ -145,9 +144,9 @@ def towards_planes(
 
     mean = sums(lit[:, None] * means) / lit_area[:, None]
     tree, (x, y, z) = cKDTree(mean), mean.T
-    products = _symmetric(sums(lit[:, None] * light[:, 3:]) / lit_area[:, None])
-    ridge = _RIDGE * np.trace(products, axis1=1, axis2=2) + np.finfo(np.float32).eps
-    normal = np.linalg.solve(products + ridge[:, None, None] * np.eye(3), sums(light[:, :3])[:, :, None])[:, :, 0]
+    products = _symmetric(sums(np.linalg.norm(light[:, :3], axis=1, keepdims=True) * light[:, 3:]))
+    products /= np.trace(products, axis1=1, axis2=2)[:, None, None].clip(min=np.finfo(float).tiny)
+    normal = np.linalg.solve(products + _RIDGE * np.eye(3), sums(light[:, :3])[:, :, None])[:, :, 0]
     normal /= np.linalg.norm(normal, axis=1, keepdims=True).clip(min=np.finfo(float).tiny)
     squares = sums(lit[:, None] * normals[:, _ROWS] * normals[:, _COLUMNS])
     squares += lit_area[:, None] * normal[:, _ROWS] * normal[:, _COLUMNS]
@@ -176,8 +175,7 @@ def towards_planes(
             plane = axes[:, :, 0]
             height = ((centre - places) * plane).sum(1)
         wide = np.interp(spreads[:, 1] / spreads[:, 2].clip(min=_MIN_WIDTH * cell_m**2), _WIDE, (0, 1))
-        usual = total[:, 10:] / total[:, :1]
-        rows[lit_cubes[batch]] = np.column_stack([height[:, None] * plane, plane, wide, usual])
+        rows[lit_cubes[batch]] = np.column_stack([height[:, None] * plane, plane, wide, total[:, 10:] / total[:, :1]])
 
     with ThreadPoolExecutor(torch.get_num_threads()) as threads:
         for _ in threads.map(fit, range(0, len(mean), _BATCH)):

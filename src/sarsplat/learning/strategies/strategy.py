@@ -36,7 +36,9 @@ class State:
 
     def follow(self, source: Int64[Tensor, " n"], kept: Bool[Tensor, " n"]) -> None:
         """Re-index per-Gaussian state: row k takes that of row `source`[k], or 0 where not `kept`[k] (it is new)."""
-        self.rows = {name: followed(rows, source, kept) for name, rows in self.rows.items()}
+        for name, rows in self.rows.items():
+            new = followed(rows, source, kept)
+            self.rows[name] = rows.copy_(new) if len(new) == len(rows) else new  # as CUDA graphs hold tensors
 
     def tensors(self) -> dict[str, Tensor]:
         """All state tensors by name, to be saved; names of those with a row for each Gaussian begin with "rows/"."""
@@ -44,12 +46,12 @@ class State:
 
     def load(self, tensors: dict[str, Tensor]) -> None:
         """Restore `tensors`; raise KeyError or ValueError if they do not fit."""
-        tensors = {name.removeprefix("rows/"): tensor for name, tensor in tensors.items()}  # as earlier versions did
-        for own in (self.rows, self.whole):
+        for kind, own in (("rows/", self.rows), ("", self.whole)):
             for name, like in own.items():
-                if name in tensors or name not in self.added:
-                    shape = like.shape if like.numel() else (len(tensors[name]), *like.shape[1:])
-                    own[name] = fitting(tensors, name, like.dtype, shape).to(like.device, copy=True)
+                saved = kind + name if kind + name in tensors else name  # as earlier versions saved rows
+                if saved in tensors or name not in self.added:
+                    shape = like.shape if like.numel() else (len(tensors[saved]), *like.shape[1:])
+                    own[name] = fitting(tensors, saved, like.dtype, shape).to(like.device, copy=True)
 
 
 @dataclass(frozen=True)
