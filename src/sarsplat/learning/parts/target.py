@@ -105,7 +105,7 @@ class Target(Part):
         gamma0 = config.initial_scattering
         shows_more = train.ground or config.ground or config.surroundings or self.frame.stacks
         if not (shows_more or config.box_m or train.target_box_m):
-            first = Gaussians(means, quaternions, scales, depth, Harmonics.initial(n, gamma0, config.p_min))
+            first = Gaussians(means, quaternions, scales, depth, Harmonics.initial(n, 1.0, 0.0))
             returned = _returned_gamma0(first, train, self._levels.grid_at(self._levels.coarsest)) / self.frame.unit
             gamma0 = max(gamma0 * min(returned, 1.0), _OVER_P_MIN * config.p_min)
         scattering = law(config, n, gamma0, self.frame.stacks)

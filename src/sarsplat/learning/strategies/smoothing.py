@@ -57,7 +57,7 @@ class Smoothed(Configured):
         return step > 0 and at_round(step, 0, self._iterations, self._config.rounds)
 
     def initial_state(self, params: dict[str, Tensor]) -> State:
-        light = torch.zeros(len(params["means"]), 9, dtype=torch.float32, device=params["means"].device)
+        light = params["means"].detach().new_zeros(len(params["means"]), 9)  # sums that `towards_planes` describes
         return State(rows={"light": light}, added=("light",))
 
     @torch.no_grad()
@@ -67,10 +67,11 @@ class Smoothed(Configured):
         if info.model.levels.coarsest == 1:  # vehicles have no large flat surfaces
             return
         areas, light = info.rendering.lit_area, state.rows["light"].mul_(_KEPT)
-        for number, area, is_lit in zip(info.chosen, areas, areas > _DARK * areas.amax(0), strict=True):
-            towards = area.new_tensor(info.images.views[number].look.facing)
-            light[:, :3] += area[:, None] * towards
-            light[:, 3:] += is_lit[:, None] * towards[_ROWS] * towards[_COLUMNS]
+        towards = np.array([info.images.views[number].look.facing for number in info.chosen])
+        columns = areas.new_tensor(np.hstack([towards, towards[:, _ROWS] * towards[:, _COLUMNS]]))
+        for column, area, is_lit in zip(columns, areas, areas > _DARK * areas.amax(0), strict=True):
+            light[:, :3] += area[:, None] * column[:3]
+            light[:, 3:] += is_lit[:, None] * column[3:]
         super().step_post_backward(params, optimizers, state, step, info)
 
     @torch.no_grad()
