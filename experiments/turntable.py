@@ -7,19 +7,17 @@ any time and start it again.
 
 from __future__ import annotations
 
-import argparse
 import os
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before torch is loaded
 
 import numpy as np
 from recognise import evenly
-from unordered import TEST, TRAINING, UNSEEN, trained, with_tests
+from unordered import imported, options, trained, with_tests
 
-from sarsplat import Dataset, Run, import_mstar, locate, read_dataset
+from sarsplat import Dataset, Run, locate
 from sarsplat.evaluation.azimuths import signed
 
 SENSES = {"true azimuths": 0, "even steps": 1, "even steps, other sense": -1}
@@ -27,25 +25,14 @@ SENSES = {"true azimuths": 0, "even steps": 1, "even steps, other sense": -1}
 
 def main() -> int:
     """Read the command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--chips", type=Path, required=True, metavar="FOLDER", help="folder of the ten classes' chips")
-    parser.add_argument("--labels", type=Path, required=True, metavar="TABLE", help="their table")
-    parser.add_argument("--target", default="T72", metavar="CLASS")
+    parser = options(__doc__)
     parser.add_argument("--count", type=int, default=36, metavar="N", help="chips")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--work", type=Path, required=True, metavar="FOLDER")
     given = parser.parse_args()
-    work = given.work / given.target
-    folder = work / f"{given.count} chips"
-    if not folder.exists():
-        about = {"train_views": given.count, "train_depression": TRAINING}
-        import_mstar(given.chips, folder, labels=given.labels, target_class=given.target, **about)
-    every = read_dataset(folder)
-    tests = [evenly(every.select(f"test-{depression}"), UNSEEN) for depression in (TRAINING, TEST)]
-    train = evenly(every.select("train"), None)
+    chips, tests = imported(given, given.count)
+    train = evenly(chips, None)
     for name, sense in SENSES.items():
         dataset = with_tests(stepped(train, sense) if sense else train, tests)
-        run = trained(dataset, work / f"seed {given.seed}" / name, given.seed)
+        run = trained(dataset, given.work / given.target / f"seed {given.seed}" / name, given.seed)
         for test in tests:
             told(run, test, sense or 1)
     return 0

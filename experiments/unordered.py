@@ -32,24 +32,14 @@ UNSEEN = 60
 
 def main() -> int:
     """Read the command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--chips", type=Path, required=True, metavar="FOLDER", help="folder of the ten classes' chips")
-    parser.add_argument("--labels", type=Path, required=True, metavar="TABLE", help="their table")
-    parser.add_argument("--target", default="T72", metavar="CLASS")
+    parser = options(__doc__)
     parser.add_argument("--known", type=int, default=8, metavar="K", help="chips with azimuths")
     parser.add_argument("--others", type=int, default=28, metavar="N", help="chips without")
     parser.add_argument("--rounds", type=int, default=2, metavar="N", help="of locating and training again")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--work", type=Path, required=True, metavar="FOLDER")
     given = parser.parse_args()
     work, count = given.work / given.target, given.known + given.others
-    folder = work / f"{count} chips"
-    if not folder.exists():
-        about = {"train_views": count, "train_depression": TRAINING}
-        import_mstar(given.chips, folder, labels=given.labels, target_class=given.target, **about)
-    every = read_dataset(folder)
-    tests = [evenly(every.select(f"test-{depression}"), UNSEEN) for depression in (TRAINING, TEST)]
-    known, others = divided(every.select("train"), given.known)
+    train, tests = imported(given, count)
+    known, others = divided(train, given.known)
     seeded = work / f"seed {given.seed}"
     before = written(with_tests(known, tests), others, work / f"{given.known} of {count} chips")
     run = trained(before, seeded / "known alone", given.seed)
@@ -58,8 +48,30 @@ def main() -> int:
         after = write_back(located, before.path or "", seeded / f"placed {number}", overwrite=True)
         run = trained(after, seeded / f"round {number}", given.seed)
         told(after, others, run)
-    trained(with_tests(every.select("train"), tests), seeded / "all known", given.seed)
+    trained(with_tests(train, tests), seeded / "all known", given.seed)
     return 0
+
+
+def options(description: str | None) -> argparse.ArgumentParser:
+    """Options of programs on chips of one class."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--chips", type=Path, required=True, metavar="FOLDER", help="folder of the ten classes' chips")
+    parser.add_argument("--labels", type=Path, required=True, metavar="TABLE", help="their table")
+    parser.add_argument("--target", default="T72", metavar="CLASS")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--work", type=Path, required=True, metavar="FOLDER")
+    return parser
+
+
+def imported(given: argparse.Namespace, count: int) -> tuple[Dataset, list[Dataset]]:
+    """So many training chips of the class, and unseen ones of both depressions; imported once."""
+    folder = given.work / given.target / f"{count} chips"
+    if not folder.exists():
+        about: dict[str, Any] = {"train_views": count, "train_depression": TRAINING}
+        import_mstar(given.chips, folder, labels=given.labels, target_class=given.target, **about)
+    every = read_dataset(folder)
+    tests = [evenly(every.select(f"test-{depression}"), UNSEEN) for depression in (TRAINING, TEST)]
+    return every.select("train"), tests
 
 
 def divided(train: Dataset, count: int) -> tuple[Dataset, Dataset]:

@@ -218,16 +218,17 @@ def test_a_small_target_in_large_images_is_still_small(scene: Dataset, monkeypat
     assert chosen(gained(scene)).preset == "measured"
 
 
-@pytest.mark.parametrize("name", ["scene", "speckled"])
+@pytest.mark.parametrize("name", ["scene", "speckled", "quick"])
 def test_points_and_their_gamma0_follow_the_scale_of_all_images(scene: Dataset, name: str) -> None:
-    short = replace(PRESETS[name], iterations=30, points=replace(PRESETS[name].points, voxel=0.3))
+    # so few steps that the rounding of the scale, which grows from step to step, changes few points
+    short = replace(PRESETS[name], iterations=4, points=replace(PRESETS[name].points, voxel=0.1))
     quiet, loud = (
         reconstruct(replace(scene, power=scale * scene.power), short, quiet=True).reconstruction
         for scale in (np.float32(1), np.float32(1000))
     )
     points = quiet.points()
     assert len(points) > 100
-    assert len(loud.points()) == pytest.approx(len(points), rel=0.1)  # rounding grows in steps
+    assert len(loud.points()) == pytest.approx(len(points), rel=0.05)
     assert np.median(loud.gamma0_at(points)) == pytest.approx(1000 * np.median(quiet.gamma0_at(points)), rel=0.05)
 
 

@@ -44,9 +44,11 @@ CONFIGS = {
     "default": small("default"),
     "quick": small("quick"),
     "speckled": small("speckled"),
+    "paper": small("paper", views_per_step=1),
     "measured": small("measured", harmonics_every=14, surroundings=SELDOM),
     "azimuths": small("measured", harmonics_every=STEPS, views_per_step=3, surroundings=SELDOM),
     "ground": small("default", ground=FlatGround()),
+    "ground of one kind": small("quick", ground=FlatGround(pitch=0.0), views_per_step=3),
     "terrain": small("default", ground=FlatGround(), coarsest=1),
     "density": small("paper", harmonics_every=STEPS, densification=DENSITY),
     "levels": small(
@@ -63,7 +65,7 @@ def recorder(library: Path) -> Iterator[EmulatedRecorder]:
         yield recorder
 
 
-@pytest.mark.parametrize("name", ["default", "measured", "azimuths", "terrain", "density", "levels"])
+@pytest.mark.parametrize("name", CONFIGS)
 def test_replayed_steps(
     name: str, dataset: Dataset, recorder: EmulatedRecorder, monkeypatch: pytest.MonkeyPatch
 ) -> None:

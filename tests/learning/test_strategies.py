@@ -76,12 +76,8 @@ def test_it_goes_on_as_if_it_had_never_stopped(dataset: Dataset, tmp_path: Path,
     assert whole.tensors["strategy/Restless/changes"].min() > 10
     restless(dataset, stop).save(tmp_path / "stopped.safetensors")
     assert_same(whole, restless(dataset, 30 - stop, Snapshot.load(tmp_path / "stopped.safetensors")))
-    per_gaussian = (
-        "model/means",
-        "strategy/Restless/rows/dim",
-        "strategy/density/rows/gradient",
-        "strategy/density/rows/seen",
-    )
+    rows = ("Restless/rows/dim", "density/rows/gradient", "density/rows/seen")
+    per_gaussian = ("model/means", *(f"strategy/{name}" for name in rows))
     assert len({len(whole.tensors[name]) for name in per_gaussian}) == 1
 
 

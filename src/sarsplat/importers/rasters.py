@@ -63,8 +63,7 @@ def read_raster(path: Path) -> tuple[Shaped[np.ndarray, "*shape"], Tags]:
         masks = file.read_masks(bands)
         if ((masks != 0) & (masks != 255)).any():
             raise SarsplatError(f"{path} has pixels that are transparent in part; write it without its alpha band")
-        absent = (masks == 0).any(axis=0)
-        pixels = file.read(bands)
+        absent, pixels = (masks == 0).any(axis=0), file.read(bands)
         tags = Tags(georeference_of(file), absent=absent if absent.any() else None, **_scaling(path, file, bands))
     return pixels[0] if len(pixels) == 1 else pixels, tags
 
@@ -167,6 +166,7 @@ def _require_plain(path: Path, file: Any) -> None:
     polarisations = [*dict.fromkeys(channel[0].upper() for channel in channels if channel)]
     for wrong, problem in (
         (bool(file.subdatasets), "has several pages; give one image for each file"),
+        (file.count > 3, f"has {file.count} bands; give one, or two: the real and the imaginary part"),
         (
             len(polarisations) > 1,
             f"has bands of several polarisations ({', '.join(polarisations)}); give one in each file, as by "

@@ -158,8 +158,7 @@ def towards_planes(
     def fit(first: int) -> None:
         """Fit the planes of a batch of cubes; results do not depend on the size of the batch."""
         batch = slice(first, first + _BATCH)
-        places, plane = mean[batch], axis[batch]
-        height = np.zeros(len(places))
+        places, plane, height = mean[batch], axis[batch], np.zeros(len(mean[batch]))
         pairs = cKDTree(places).sparse_distance_matrix(tree, radius_m, output_type="ndarray")
         weights = csr_matrix((np.ones(len(pairs)), (pairs["i"], pairs["j"])), (len(places), tree.n))
         i, j = np.repeat(np.arange(len(places)), np.diff(weights.indptr)), weights.indices  # pairs of neighbours
