@@ -336,11 +336,9 @@ def plane(
 
 def rate_along(scp: np.ndarray, arp: np.ndarray, velocity: np.ndarray, column: np.ndarray) -> float:
     """By how much the range rate grows with each metre along the columns."""
-    return float(-(velocity - _along(velocity, arp - scp)) @ column / np.linalg.norm(arp - scp))
-
-
-def _along(vector: np.ndarray, line: np.ndarray) -> np.ndarray:
-    return (vector @ line) / (line @ line) * line
+    line = arp - scp
+    across = velocity - (velocity @ line) / (line @ line) * line
+    return float(-across @ column / np.linalg.norm(line))
 
 
 def locate(

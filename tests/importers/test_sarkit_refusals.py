@@ -108,6 +108,7 @@ changed = changes(sicds)
 SICD: list[tuple[Spoil | dict, str]] = [
     (lambda data: data[:-100], "is truncated or too long"),
     (lambda data: b"CPHD/1.0.1\n" + data, "is not a NITF file"),
+    (lambda data: data.replace(b"NC2" + data[data.index(b"NC2") + 3 :][:5], b"NC099999"), "is not a valid SICD"),
     (changed("<SICD .*", '<SIDD xmlns="urn:SIDD:3.0.0"/>'), "holds no metadata of a SICD"),
     (changed("^", BOMB + "]>"), "DOCTYPE|no XML"),
     (changed("<NumRows>64</NumRows>", "<NumRows>65</NumRows>"), "segments of other sizes"),

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from named_scenes import GRID, MATRIX, VIEWS, cloud, wall
+from scipy.special import erfinv
 
 from made import hill, slope, terrain
 from sarsplat import Gaussians, Ground, ImageGrid, RayGrid, SarsplatError, Terrain, View, radar_frame, render
@@ -94,13 +95,9 @@ def test_an_edge_of_shadow_is_where_rays_say(grazing, dtype):
             inside = slice(np.argmax(level < 0.3), None)
             after = inside.start + int(np.argmax(level[inside] > 0.5))
             # between pixels the error function is interpolated by its argument
-            low, high = (math.sqrt(2) * _erfinv(2 * level[k] - 1) for k in (after - 1, after))
+            low, high = (math.sqrt(2) * erfinv(2 * level[k] - 1) for k in (after - 1, after))
             found = places[after - 1] + (places[after] - places[after - 1]) * -low / (high - low)
             assert found == pytest.approx(edge + by, abs=2e-4)
-
-
-def _erfinv(x: float) -> float:
-    return float(torch.special.erfinv(torch.tensor(x, dtype=torch.float64)))
 
 
 def test_what_the_ground_loses_is_what_rays_lose():

@@ -199,8 +199,9 @@ def test_folders_of_others_are_left_alone(dataset: Dataset, config: Config, tmp_
 def test_a_torn_log_is_read_up_to_the_tear(finished: Run, tmp_path: Path) -> None:
     log = (finished.path / "metrics.jsonl").read_text().splitlines()
     copy = replace(finished, path=tmp_path)
-    (tmp_path / "metrics.jsonl").write_text("\n".join([*log[:3], log[3][:9]]))
-    assert copy.history == finished.history[:3]
+    for torn in (log[3][:9], "[" * 10_000):
+        (tmp_path / "metrics.jsonl").write_text("\n".join([*log[:3], torn]))
+        assert copy.history == finished.history[:3]
 
 
 def test_a_given_box_is_where_a_target_is_looked_for(dataset: Dataset) -> None:

@@ -176,11 +176,15 @@ def stack_image(
         raise SarsplatError(f"{sicds[0].path} is one file; a stack needs several, so add the others, or {_UNSTACKED}")
     first = sicds[0]
     for sicd in sicds[1:]:
-        _refuse_other_grid(first, sicd)
-    frame = layout.view.look.frame
+        apart = float(np.linalg.norm(_corners(first) - _corners(sicd), axis=1).max())
+        if first.shape != sicd.shape or not apart <= _APART * min(axis.spacing_m for axis in first.axes):
+            raise SarsplatError(
+                f"{sicd.path} has another grid than {first.path}: {shown(sicd.shape)} and {shown(first.shape)} pixels, "
+                f"corners up to {apart:.3g} m apart; coregister them to one grid, or {_UNSTACKED}"
+            )
     origin = layout.place_of(np.zeros(1), np.zeros(1))
     lines = [spot.axes @ (antenna_at(sicd, origin)[0][0] - spot.ecef) for sicd in sicds]
-    seen = np.array(lines) @ frame.T
+    seen = np.array(lines) @ layout.view.look.frame.T
     offsets = np.round(seen[:, 1] / -seen[:, 2], _DIGITS) + 0.0  # of elevation alone; no negative zero
     names = ", ".join(sicd.path.name for sicd in sicds)
     try:
@@ -212,15 +216,6 @@ def _ranges(
     antennas, _ = antenna_at(sicd, layout.place_of(azimuth_m, range_m))
     distances: Float64[np.ndarray, " n"] = np.linalg.norm(antennas - ground, axis=1)
     return distances
-
-
-def _refuse_other_grid(first: Sicd, other: Sicd) -> None:
-    apart = float(np.linalg.norm(_corners(first) - _corners(other), axis=1).max())
-    if first.shape != other.shape or not apart <= _APART * min(axis.spacing_m for axis in first.axes):
-        raise SarsplatError(
-            f"{other.path} has another grid than {first.path}: {shown(other.shape)} and {shown(first.shape)} pixels, "
-            f"corners up to {apart:.3g} m apart; coregister them to one grid, or {_UNSTACKED}"
-        )
 
 
 def _corners(sicd: Sicd) -> Float64[np.ndarray, "4 3"]:

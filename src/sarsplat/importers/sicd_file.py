@@ -178,7 +178,7 @@ def _check_segments(path: Path, metadata: MetadataParams, pixel_type: str, segme
     """Raise if image segments are compressed, or do not hold exactly the image's rows."""
     from sarkit.sicd import PIXEL_TYPES
 
-    if any(part.compressed for part in segments):
+    if any(part.compression != "NC" for part in segments):
         raise SarsplatError(f"{path} has compressed pixels, which no SICD may have; get it uncompressed")
     width = metadata.NumCols * PIXEL_TYPES[pixel_type]["bytes"]
     whole = all(part.columns == metadata.NumCols and part.length == part.rows * width for part in segments)

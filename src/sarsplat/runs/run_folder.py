@@ -226,7 +226,7 @@ class RunFolder:
         for line in data.splitlines():
             try:
                 history.append(decode(line, LogLine))
-            except (msgspec.MsgspecError, UnicodeDecodeError):
+            except (ValueError, RecursionError):
                 break
         return history
 
