@@ -21,12 +21,6 @@ def run(small_box: Dataset) -> Run:
     return reconstruct(small_box, few, quiet=True)
 
 
-def without_points(run: Run) -> Run:
-    empty = replace(run)
-    empty.__dict__["points"] = np.empty((0, 3), np.float32)
-    return empty
-
-
 def test_gaussians_come_back_exactly_whatever_their_colour(run: Run, tmp_path: Path) -> None:
     for colour in ("db", "height"):
         export(run, tmp_path / f"{colour}.ply", colour=colour)
@@ -132,7 +126,8 @@ def test_errors_on_unknown_endings_list_the_valid_ones(tmp_path: Path) -> None:
 @pytest.mark.parametrize("ending", FORMATS)
 def test_empty_runs_are_not_exported(run: Run, tmp_path: Path, ending: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Run, "gaussians", run.gaussians[:0])
-    empty = without_points(replace(run, place=Place(1.0, 2.0, 3.0)))
+    empty = replace(run, place=Place(1.0, 2.0, 3.0))
+    empty.__dict__["points"] = np.empty((0, 3), np.float32)
     for content in FORMATS[ending].writers:
         view = View(30, 35) if content == "layover-shadow" else None
         with pytest.raises(SarsplatError, match=r"the run in memory has (no|too few) "):

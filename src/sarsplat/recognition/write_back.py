@@ -19,7 +19,7 @@ def write_back(located: Located, dataset: str | Path, out: str | Path, *, overwr
 
     Each has the azimuth of its labelled class, or of the class found if it has no label, with its standard deviation,
     by which training refines azimuths of training images. Azimuths in the dataset stay. Images whose azimuth is too
-    uncertain, that may be reversed, or whose class no run has, stay without.
+    uncertain, that may be reversed, or whose class no run has, stay without. The copy has no phases.
 
     Parameters
     ----------
@@ -38,13 +38,9 @@ def write_back(located: Located, dataset: str | Path, out: str | Path, *, overwr
     Raises
     ------
     SarsplatError
-        If no image of the dataset gets an azimuth, the dataset is complex, or the copy exists.
+        If no image of the dataset gets an azimuth, or the copy exists.
     """
     before = read_dataset(dataset)
-    if before.signal is not None:
-        raise SarsplatError(
-            f"{dataset} is complex, but its images without azimuth are power; they cannot be added to it"
-        )
     found = {chip.name: k for k, chip in enumerate(located.chips) if np.isnan(chip.azimuth_deg)}
     azimuth_deg, std_deg = (located.of_class(one) for one in (located.azimuth_deg, located.azimuth_std_deg))
     certain = located.certain
@@ -67,12 +63,12 @@ def write_back(located: Located, dataset: str | Path, out: str | Path, *, overwr
     source["assumptions"] = [
         *source.get("assumptions", []),
         f"the azimuths of {counted(len(entries), 'image')} are estimates by locate",
+        *["phases are left out, as images without azimuth have none"] * (before.signal is not None),
     ]
     if "chips" in source:
         source["chips"] = [*source["chips"], *chips]
     if left:
         source[UNPLACED] = left
-    after = replace(
-        before, entries=(*before.entries, *entries), power=np.concatenate([before.power, images]), source=source
-    )
+    power = np.concatenate([before.power, images])
+    after = replace(before, entries=(*before.entries, *entries), power=power, signal=None, source=source)
     return write_dataset(out, after, overwrite=overwrite)
