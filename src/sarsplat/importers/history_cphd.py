@@ -129,12 +129,12 @@ def _of_times(cphd: Cphd, channel: Channel, pulses: dict[str, Any]) -> tuple[np.
     """Return first frequency and step of each pulse, and the Fourier transform of its samples in time."""
     interval, band = pulses["SCSS"], pulses["FX2"] - pulses["FX1"]
     _require_steps(cphd, interval)
-    step = 1 / (channel.samples * interval)
-    each_side = np.floor(band / 2 / step + _EXACT)
+    each_side = np.floor(band / 2 * channel.samples * interval + _EXACT)
     fewest = int(np.clip(each_side.min(), -1, channel.samples))
     if not 1 <= fewest <= (channel.samples - 1) // 2:
         raise_damaged(cphd.path, f"has samples {interval.max():.3g} s apart, not those of its band ({_in_mhz(pulses)})")
     _require_one_band(cphd, pulses["FX1"], pulses["FX2"])
+    step = 1 / (channel.samples * interval)
     signal = _Signal(
         cphd.path,
         channel.name,
