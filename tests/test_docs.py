@@ -38,12 +38,6 @@ def run_python(*arguments: str, folder: Path | None = None) -> str:
     return done.stdout
 
 
-def anchors(page: Path) -> set[str]:
-    """The names under which a page's headings can be linked to."""
-    headings = re.findall(r"^#+ +(.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
-    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
-
-
 def test_readme_example_gives_every_parameter_a_gradient(capsys):
     example = blocks(ROOT / "README.md", "python")[0]
     assert sum(bool(line.strip()) for line in example.splitlines()) < 20
@@ -137,7 +131,9 @@ def test_links_lead_somewhere(page):
         path = (page.parent / name).resolve() if name else page
         assert path.exists(), f"{page.name}: {target}"
         if anchor:
-            assert anchor in anchors(path), f"{page.name}: {target}"
+            headings = re.findall(r"^#+ +(.+)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+            anchors = {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+            assert anchor in anchors, f"{page.name}: {target}"
 
 
 def commands(page: Path) -> list[str]:

@@ -158,7 +158,7 @@ def test_columns_in_the_names_of_pictures(tmp_path, capsys):
         classed = import_pictures(tmp_path / "in", names="{class}/" + names)
     assert classed.target == "box"
     (tmp_path / "in" / "other.npy").unlink()
-    with pytest.raises(SarsplatError, match="no picture with a name like"):
+    with pytest.raises(SarsplatError, match="no picture called like"):
         import_pictures(tmp_path / "in", names="x{azimuth}_{inc}.npy")
     with pytest.raises(SarsplatError, match="line 1: azimuth is 'shot 0"):
         import_pictures(tmp_path / "in", names="{azimuth}_{inc}_{set}.npy")

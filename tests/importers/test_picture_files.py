@@ -205,7 +205,7 @@ def test_scale_and_offset_of_the_file(tmp_path):
     path = tagged(tmp_path, EIGHT, (42112, "s", 0, text, True))
     values = read_values(path, "db", 1.0, 0.0)
     np.testing.assert_allclose(values.image, 10 ** ((EIGHT * 0.25 - 60) / 10), rtol=1e-5)
-    assert values.assumptions == ("pixels are multiplied by 0.25, and -60 is added, as the files say",)
+    assert values.assumptions == ("pixels are multiplied by the files' scales, and their offsets added",)
     given = read_values(path, "db", 0.1, 0.0, own=False)
     np.testing.assert_allclose(given.image, 10 ** (EIGHT * 0.1 / 10), rtol=1e-5)
     assert given.assumptions == ("the files state scales or factors, which are not used, for others are given",)
@@ -221,7 +221,7 @@ def test_scale_in_a_sidecar(tmp_path, ending):
     np.testing.assert_allclose(read_values(path, "power", 1.0, 0.0).image, EIGHT * 0.5 + 3)
 
 
-@pytest.mark.parametrize("compression", [None, "zlib", "a.json", "a_extended.json"])
+@pytest.mark.parametrize("compression", [None, "zlib", "a.json", "a_extended.json", "png"])
 @pytest.mark.parametrize(
     ("said", "factor", "by", "kind"),
     [
@@ -236,11 +236,12 @@ def test_scale_in_a_sidecar(tmp_path, ending):
     ],
 )
 def test_factors_of_producers(tmp_path, said, factor, by, kind, compression):
-    beside = compression is not None and compression.endswith(".json")
-    told = {} if beside else {"description": json.dumps(said), "compression": compression}
-    path = written(tmp_path, "a.tif", SIXTEEN, metadata=None, **told)
+    ending, name = ("png", "a.json") if compression == "png" else ("tif", compression)
+    beside = name is not None and name.endswith(".json")
+    told = {} if beside else {"description": json.dumps(said), "compression": compression, "metadata": None}
+    path = written(tmp_path, f"a.{ending}", SIXTEEN, **told)
     if beside:
-        path.with_name(compression).write_text(" " * (5 << 20) + json.dumps(said))
+        path.with_name(name).write_text(" " * (5 << 20) + json.dumps(said))
     values = read_values(path, None, 1.0, 0.0)
     assert (values.power_factor, values.tags.backscatter) == (pytest.approx(factor), kind)
     told = [text for text in values.assumptions if "each file's" in text]

@@ -158,7 +158,7 @@ MSTAR: Refusals = [
     *((scaled(text), "line 4: dn_per_magnitude is .*number") for text in ("", "0", "-5", "nan", "much", "1e-300")),
     (added("T72/chip002.jpeg", "T72", "812"), "gives 'T72/chip002.jpeg' two labels, in lines 4 and 13"),
     *((added(path), "line 13: .* points outside the folder of chips") for path in ("../a.jpeg", "/etc/passwd")),
-    (chips(serial="9"), "no T72 with the serial '9'; choose one of 132"),
+    (chips(serial="9"), "no T72 of serial '9'; choose one of 132"),
     (chips(target_class="T80"), r"no class 'T80' in .*labels\.csv; it has BMP2, T72"),
     (chips(lambda folder: (folder / "T72").rename(folder / "T73")), "has none of 10 chips in"),
     (chips(lambda folder: (folder / "labels.csv").write_text("path,class\na,T72\n")), "is missing the columns 'serial"),
@@ -195,7 +195,7 @@ PHOENIX: Refusals = [
     (phoenix(native_header_length="512"), "a scene and not a float32 chip"),
     (phoenix(phoenix_bytes(-MAGNITUDE)), "holds the magnitude -0.02 at row 0, column 1"),
     *((phoenix(TargetAz=value, asked="target_az_deg"), "TargetAz") for value in ("north", "nan", "inf", "")),
-    (phoenix(RadarPosition="left", asked="image"), "RadarPosition= 'left'; only 'bottom'"),
+    (phoenix(RadarPosition="left", asked="image"), "RadarPosition= 'left', not 'bottom'"),
 ]
 
 

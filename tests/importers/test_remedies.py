@@ -221,6 +221,7 @@ def test_remedies_work_when_followed(tmp_path: Path, monkeypatch: pytest.MonkeyP
     for n in range(4):
         (stated / f"{n}.json").write_text('{"scale_factor": 0.1, "radiometry": "sigma_nought"}')
     (two / "more.csv").write_text("file,azimuth")
+    (two / "0.json").write_text('{"calibration_factor": 2}')
     (world / "0.tfw").touch()
     (tmp_path / "a.SAFE").mkdir()
     (tmp_path / "a.SAFE/manifest.safe").touch()
@@ -280,7 +281,8 @@ def test_remedies_work_when_followed(tmp_path: Path, monkeypatch: pytest.MonkeyP
         (partial(import_pictures, stated), "do not belong together", {}, {"scale": 1.0}),
         (partial(import_pictures, stated, scale=1.0), "says that", {"backscatter": "gamma0"}, {"backscatter": "beta0"}),
         (partial(import_pictures, signals), "give `quantity='complex'`", {}, {"quantity": "complex"}),
-        (partial(import_pictures, two), "has 2 tables", {}, {"table": two / "angles.csv"}),
+        (partial(import_pictures, two, scale=1.0), "has 2 tables", {}, {"table": two / "angles.csv"}),
+        (partial(import_pictures, two, table=two / "angles.csv"), "nor does its file", {}, {"scale": 1.0}),
         (partial(import_pictures, corners), "that reach from its corners", {}, {"ground": False}),
         (partial(flown, mats[1:]), "is inclined", {}, {"tilted": True}),
         (mat, "leave out `place`", {"place": (48.0, 11.0)}, {"place": None}),

@@ -55,11 +55,9 @@ def test_incidence_angles_in_radians_and_azimuths_in_thousandths(tmp_path):
 @pytest.mark.parametrize(
     ("named", "columns", "sentence"),
     [
-        (
-            "Azimuth (mil)",
-            {"azimuth": "Azimuth (mil)"},
-            "'Azimuth .mil.' for the azimuth, whose name does not state one",
-        ),
+        ("Azimuth (grad)", {}, "'Azimuth .grad.' for the azimuth, whose name does not state one unit of angle"),
+        ("azimuth,gain_db", {"scale": "gain_db"}, "'gain_db' for the scale, .* of a linear factor; give factors, 10"),
+        ("azimuth,m_per_px", {"spacing": "m_per_px"}, "'m_per_px' for the spacing, whose name does not state one unit"),
         ("azimuth_m", {}, "'azimuth_m' for the azimuth, whose name does not state one unit of angle; give degrees"),
         ("bearing", {}, r"looks like the azimuth; name it with .* \(there are file, bearing, grazing\)"),
         ("bearing", {"azimuth": "bearing"}, "'bearing' for the azimuth, a direction of sight by its name"),
@@ -68,7 +66,7 @@ def test_incidence_angles_in_radians_and_azimuths_in_thousandths(tmp_path):
     ],
 )
 def test_columns_that_say_that_they_are_no_degrees_from_the_nose(tmp_path, named, columns, sentence):
-    folder = pictures(tmp_path, ["{index},{azimuth},30"] * 4, f"file,{named},grazing")
+    folder = pictures(tmp_path, ["{index},{azimuth},30" + ",30" * named.count(",")] * 4, f"file,{named},grazing")
     with pytest.raises(SarsplatError, match=sentence):
         import_pictures(folder, columns=columns)
     if "north" in sentence:

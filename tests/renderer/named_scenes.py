@@ -137,10 +137,6 @@ def some_dark(channels: int, count: int = 40) -> Tensor:
     return amplitudes
 
 
-def _ring(count: int) -> tuple[View, ...]:
-    return tuple(View(360.0 * k / count, 20.0 + 50.0 * (k % 3) / 2) for k in range(count))
-
-
 def _tied() -> Gaussians:
     # pairs share a centre, so their depths tie exactly in any dtype: the index must decide
     single = cloud(10, 21, kappa=(0.5, 2.0))
@@ -207,7 +203,10 @@ MATRIX: dict[str, Callable[[], Scene]] = {
     "none": lambda: Scene(cloud(0, 0), shift=0.1 * _random(4, 3, 2)),
     "one": lambda: Scene(cloud(1, 13, kappa=(1.0, 2.0))),
     "many views": lambda: Scene(
-        cloud(20, 14), _ring(64), ImageGrid(16, 16, (0.25, 0.25), (0.3, 0.3)), rays=RayGrid((0.3, 0.3))
+        cloud(20, 14),
+        tuple(View(360.0 * k / 64, 20.0 + 50.0 * (k % 3) / 2) for k in range(64)),
+        ImageGrid(16, 16, (0.25, 0.25), (0.3, 0.3)),
+        rays=RayGrid((0.3, 0.3)),
     ),
     "one view": lambda: Scene(cloud(60, 15), views=VIEWS[:1]),
     "degree 0": lambda: Scene(cloud(40, 16, degree=0)),

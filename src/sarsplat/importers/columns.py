@@ -45,7 +45,16 @@ _SHORT = {
     **{"az": "azimuth", "graz": "grazing", "elev": "grazing", "inc": "incidence", "std": "azimuth-std"},
     **{"pol": "polarisation", "polarization": "polarisation"},
 }
-_LENGTH, _ANGLE = "length", "angle"
+FACTORS: dict[str, tuple[int, tuple[Quantity, ...]]] = {
+    "dn-per-magnitude": (-2, ("amplitude", "complex")),
+    "dn-per-power": (-1, ("power",)),
+    "scale-factor": (2, ("amplitude", "complex")),
+    "calibration-factor": (1, ("amplitude", "complex", "power")),
+}
+"""Meaning → exponent that makes its number a factor on the power, and possible quantities of the pixels."""
+
+_LENGTH, _ANGLE, _FACTOR = "length", "angle", "a linear factor"
+_GIVEN = {_LENGTH: "metres", _ANGLE: "degrees", _FACTOR: "factors, 10^(x / 20) on the numbers for x decibels"}
 _RADIAN = math.degrees(1.0)
 _UNITS: dict[str, tuple[str, float]] = {
     **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), (_LENGTH, 1.0)),
@@ -55,12 +64,14 @@ _UNITS: dict[str, tuple[str, float]] = {
     **dict.fromkeys(("deg", "degree", "degrees"), (_ANGLE, 1.0)),
     **dict.fromkeys(("rad", "radian", "radians"), (_ANGLE, _RADIAN)),
     **{**dict.fromkeys(("gon", "gradian", "gradians"), (_ANGLE, 0.9)), "mrad": (_ANGLE, _RADIAN / 1e3)},
-    **dict.fromkeys(("mil", "mils", "yd", "arcmin", "arcsec"), ("another unit", 1.0)),
+    **dict.fromkeys(("mil", "mils", "yd", "arcmin", "arcsec", "grad", "per", "hz", "khz", "mhz"), ("other", 1.0)),
+    **dict.fromkeys(("db", "decibel", "decibels"), ("decibels", 1.0)),
 }
-"""Words in names of columns → quantity, and m or degrees of one (the German Grad is a degree)."""
+"""Words in names of columns → quantity, and m or degrees of one (a grad is a gradian, or a German degree)."""
 _MEASURED = {
     **dict.fromkeys(("azimuth", "heading", "grazing", "incidence", "azimuth-std", "tilt"), (_ANGLE, 1.0)),
     "baseline": (_ANGLE, _RADIAN),
+    **dict.fromkeys(("scale", *FACTORS), (_FACTOR, 1.0)),
     **{f"{axis}{name}": (_LENGTH, 1.0) for axis in ("", "azimuth-", "range-") for name in ("spacing", "resolution")},
 }
 """Meanings with a unit → quantity, and m or degrees of the unit that numbers have here."""
@@ -74,14 +85,6 @@ _ONLY_IF_NAMED = ("scale", "offset")
 
 _INSTEAD = {"azimuth": {"heading"}, "heading": {"azimuth"}}
 """Meanings that exclude each other if one is chosen."""
-
-FACTORS: dict[str, tuple[int, tuple[Quantity, ...]]] = {
-    "dn-per-magnitude": (-2, ("amplitude", "complex")),
-    "dn-per-power": (-1, ("power",)),
-    "scale-factor": (2, ("amplitude", "complex")),
-    "calibration-factor": (1, ("amplitude", "complex", "power")),
-}
-"""Meaning → exponent that makes its number a factor on the power, and possible quantities of the pixels."""
 
 _FACTOR_WORDS = {"scale", "gain", "factor", "calfactor", "calibration", "cal"}
 """Words in columns' names for factors of pictures."""
@@ -227,8 +230,10 @@ def converted(table: CsvTable, columns: Columns) -> CsvTable:
     for meaning, (kind, usual) in _MEASURED.items():
         words = _words(column := columns.get(meaning, ""))
         stated = {_UNITS[word] for word in words if word in _UNITS and (word != "in" or word == words[-1])}
+        if kind == _FACTOR:
+            stated &= {_UNITS["db"]}
         if len(stated) > 1 or any(quantity != kind for quantity, _ in stated):
-            unit = "b/R in radians" if meaning == "baseline" else "degrees" if kind == _ANGLE else "metres"
+            unit = "b/R in radians" if meaning == "baseline" else _GIVEN[kind]
             raise SarsplatError(
                 f"{table.path} has {shown(column)} for the {meaning}, whose name does not state one unit of {kind}; "
                 f"give {unit}, and rename it"

@@ -130,9 +130,7 @@ def import_mstar(
         counts, depressions = divided.counts, sorted({chip.depression for chip in divided.train})
         placed = [chip for chip in divided.train if chip.placed]
         if not placed:
-            raise SarsplatError(
-                f"no training chip of {target_class} has an azimuth in {labels}; fill in target_az_deg of some"
-            )
+            raise SarsplatError(f"no training chip of {target_class} has an azimuth in {labels}; fill some in")
         train = _training_chips(placed, train_views, depressions)
         every = [*placed, *(chip for chip in divided.test if chip.placed)]
         of_split = [*divided.train, *divided.test]
@@ -203,9 +201,7 @@ def _one_vehicle(chips: list[Chip], target_class: str, serial: str | None) -> li
     if serial is not None:
         chips = [chip for chip in chips if chip.serial == serial]
         if not chips:
-            raise SarsplatError(
-                f"there is no {target_class} with the serial {serial!r}; choose one of {', '.join(serials)}"
-            )
+            raise SarsplatError(f"there is no {target_class} of serial {serial!r}; choose one of {', '.join(serials)}")
     elif len(serials) > 1:
         warn_caller(
             f"the {target_class} chips show {len(serials)} vehicles (serials {', '.join(serials)}), treated as one; "

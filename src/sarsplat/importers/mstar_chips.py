@@ -193,9 +193,7 @@ def _jpeg_chips(
         _refuse_class(target_class, labels, {row["class"] for _, row in table.rows})
     present = listed_files(folder, table, rows, "path", of="chip")
     if unlabelled := len(jpegs - {folder / row["path"] for _, row in table.rows if row["class"]}):
-        warn_caller(
-            f"{labels} has no label for {counted(unlabelled, 'JPEG')} in {folder}; add them if you need these chips"
-        )
+        warn_caller(f"{labels} has no label for {counted(unlabelled, 'JPEG')} in {folder}; add those that you need")
     chosen = _once(labels, _complete(labels, [row for row, _ in present], unplaced))
     for row in chosen:
         if column := unusual_look(table, row):

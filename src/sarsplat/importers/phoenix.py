@@ -124,9 +124,7 @@ class PhoenixChip:
     def require_radar_at_the_bottom(self) -> None:
         """Raise if the radar is at another side of the array."""
         if self.radar_position != "bottom":
-            raise SarsplatError(
-                f"{self.path} has RadarPosition= {self.radar_position!r}; only 'bottom' is supported, so remove it"
-            )
+            raise SarsplatError(f"{self.path} has RadarPosition= {self.radar_position!r}, not 'bottom'; remove it")
 
     def _text(self, key: str) -> str:
         value = self.header.get(key, "")

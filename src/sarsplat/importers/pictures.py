@@ -280,7 +280,7 @@ def read_values(
             )
     elif scaled:
         scale, offset = tags.scale, tags.offset
-        told.append(f"pixels are multiplied by {scale:g}, and {offset:g} is added, as the files say")
+        told.append("pixels are multiplied by the files' scales, and their offsets added")
     image = power_or_signal(pixels, found, name, scale, offset)
     absent = np.zeros(image.shape, bool) if absent is None else absent
     if tags.backscatter:

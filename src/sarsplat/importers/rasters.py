@@ -76,10 +76,10 @@ def refuse_bomb(path: Path, values: int) -> None:
 
 
 def sidecar_scaling(path: Path) -> Tags:
-    """Return scale and offset by the file NAME.aux.xml beside a picture, if there is one."""
+    """Return scale, offset and factors by the file NAME.png.aux.xml or the JSON beside a picture NAME.png."""
     sidecar = path.with_name(path.name + _SIDECAR)
     if not sidecar.exists() or not re.search(rb"<Scale>|<Offset>|_factor", sidecar.read_bytes()):
-        return Tags()  # or only statistics
+        return Tags(**_calibration(path, ""))  # or only statistics
     with opened_raster(path) as file:
         return Tags(**_scaling(path, file, file.indexes))
 

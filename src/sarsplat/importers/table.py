@@ -122,7 +122,7 @@ def read_picture_table(folder: Path, about: AboutPictures, *, compass: bool = Fa
     }
     if (factor := unused_factor(table, columns)) is not None:
         warn_caller(
-            f"{table.path} has the column {shown(factor)}, which is not used; if it holds factors, name it with "
+            f"{table.path} has the column {shown(factor)}, which is not used; if it holds factors, no dB, name it with "
             f"`columns={{'scale': '{factor}'}}`, or `columns={{'calibration-factor': '{factor}'}}` for the power's"
         )
     require(table, columns, about.get("grazing_deg") is None, spacing, about.get("look") is not None)
@@ -219,9 +219,7 @@ def _table_of_names(folder: Path, files: list[Path], tables: list[Path], pattern
         if found := wanted.fullmatch(inside if "/" in pattern else path.name):
             rows.append((len(rows) + 1, {"file": inside, **dict(zip(columns, found.groups(), strict=True))}))
     if not rows:
-        raise SarsplatError(
-            f"{folder} has no picture with a name like {shown(pattern)}; give a pattern that they match"
-        )
+        raise SarsplatError(f"{folder} has no picture called like {shown(pattern)}; give a pattern that they match")
     return CsvTable(Path(pattern), ("file", *columns), tuple(rows))
 
 

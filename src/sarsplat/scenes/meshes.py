@@ -170,7 +170,7 @@ def read_mesh(path: Path) -> Trimesh:
             data, hidden = _plain_glb(data, _scene_of(data))
             if hidden:
                 warnings.warn(
-                    f"'{path}': left out {counted(hidden, 'node')} that the file hides; show them if they are there",
+                    f"'{path}': left out {counted(hidden, 'node')} that the file hides; make them visible to keep them",
                     SarsplatWarning,
                     stacklevel=2,
                 )
@@ -188,9 +188,7 @@ def read_mesh(path: Path) -> Trimesh:
         )
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     if len(faces) == 0:
-        raise SarsplatError(
-            f"'{path}' is damaged, or holds no faces, only {len(vertices)} vertices; give a triangle mesh"
-        )
+        raise SarsplatError(f"'{path}' holds no faces, or is damaged; give a triangle mesh")
     if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,) or faces.min() < 0 or faces.max() >= len(vertices):
         raise SarsplatError(f"'{path}' {_MISSING}")
     if (far := np.abs(vertices[np.isfinite(vertices)])).size and far.max() > _FARTHEST:
@@ -278,12 +276,12 @@ def _scene_of(data: bytes) -> dict[str, Any]:
         raise SarsplatError(f"is not a whole .glb file with at most {_LONGEST_SCENE} bytes of JSON; export it again")
     try:
         scene: dict[str, Any] = json.loads(data[20 : 20 + length].decode())
-        gaussians = "KHR_gaussian_splatting" in scene.get("extensionsUsed", ())
-        needed = [name for name in scene.get("extensionsRequired", ()) if not _HARMLESS.fullmatch(name)]
+        used, required = ({*scene.get(f"extensions{key}", ())} for key in ("Used", "Required"))
+        needed = sorted(required - {*filter(_HARMLESS.fullmatch, required)} | used & {"EXT_mesh_gpu_instancing"})
         numbers, parts = _unfolded(scene)
     except (LookupError, TypeError, AttributeError, ValueError, RecursionError) as error:
-        raise SarsplatError(f"has a garbled scene ({repr(error)[:200]}); export it again") from error
-    if gaussians:
+        raise SarsplatError(f"has a scene that is not read ({repr(error)[:150]}); export it again") from error
+    if "KHR_gaussian_splatting" in used:
         raise SarsplatError("holds Gaussians (KHR_gaussian_splatting), no mesh; give a mesh, or `sarsplat render` them")
     if needed:
         raise SarsplatError(f"needs {', '.join(needed)[:80]}, which is not read; export it without that extension")
@@ -313,13 +311,14 @@ def _plain_glb(data: bytes, scene: dict[str, Any]) -> tuple[bytes, int]:
             scene["accessors"].append({**view, "count": triangles.size})
             fan |= {"indices": len(scene["accessors"]) - 1, "mode": _TRIANGLES}
             values += triangles.tobytes()
+        deformed = any(any(one.get("weights", ())) for one in (*nodes, *scene.get("meshes", ())))
         for index in {one["attributes"]["POSITION"] for mesh in scene.get("meshes", ()) for one in mesh["primitives"]}:
-            if scene["accessors"][index].get("normalized"):
-                raise ValueError("normalised positions are not read")
+            if deformed or scene["accessors"][index].get("normalized"):
+                raise ValueError("morph targets and normalised positions are not read")
         if hidden or fans:
             scene["buffers"][0]["byteLength"] = len(values)
     except (LookupError, TypeError, AttributeError, ValueError) as error:
-        raise SarsplatError(f"has a garbled scene ({repr(error)[:200]}); export it again") from error
+        raise SarsplatError(f"has a scene that is not read ({repr(error)[:150]}); export it again") from error
     if not (hidden or fans):
         return data, 0
     text = json.dumps(scene).encode()
