@@ -134,7 +134,7 @@ def test_a_class_whose_training_chips_have_no_azimuth_is_refused(tmp_path: Path)
     folder = jpegs(tmp_path / "chips")
     table = folder / "labels.csv"
     rewrite(table, lambda rows: [rows[0], *([*row[:-1], ""] for row in rows[1:])])
-    with pytest.raises(SarsplatError, match="no training chip of T72 has an azimuth"):
+    with pytest.raises(SarsplatError, match="no training chip of T72 has a target_az_deg"):
         import_mstar(folder, tmp_path / "a", labels=table, target_class="T72", train_views="all", split="soc")
 
 

@@ -193,7 +193,7 @@ PHOENIX: Refusals = [
     (phoenix(phoenix_bytes() + b"x"), "is too long"),
     *((phoenix(NumberOfRows=rows), "NumberOfRows") for rows in ("1000000", "0", "-4", "")),
     (phoenix(native_header_length="512"), "a scene and not a float32 chip"),
-    (phoenix(phoenix_bytes(-MAGNITUDE)), "holds the magnitude -0.02 at row 0, column 1"),
+    (phoenix(phoenix_bytes(-MAGNITUDE)), "holds magnitude -0.02 at row 0, column 1"),
     *((phoenix(TargetAz=value, asked="target_az_deg"), "TargetAz") for value in ("north", "nan", "inf", "")),
     (phoenix(RadarPosition="left", asked="image"), "RadarPosition= 'left', not 'bottom'"),
 ]

@@ -80,8 +80,8 @@ FOLDERS: list[Case] = [
     ("near range of", NEW + ",near_side", [30, "left"], {"near": "top"}, {"near": None}),
     ("scales pictures by", NEW + ",scale_factor", [30, 2], {}, {"quantity": "amplitude"}),
     ("scales pictures by", NEW + ",scale_factor", [30, 2], {}, {"columns": {"scale": "scale_factor"}}),
-    ("which is not used; if", NEW + ",gain", [30, 2], {}, {"columns": {"scale": "gain"}}),
-    ("which is not used; if", NEW + ",gain", [30, 2], {}, {"columns": {"calibration-factor": "gain"}}),
+    ("not used; if it holds", NEW + ",gain", [30, 2], {}, {"columns": {"scale": "gain"}}),
+    ("not used; if it holds", NEW + ",gain", [30, 2], {}, {"columns": {"calibration-factor": "gain"}}),
     ("a column of factors; leave out", NEW + ",calibration_factor", [30, 2], {"scale": 1.0}, {"scale": None}),
     ("but the quantity is", NEW, [30], {"quantity": "complex"}, {"quantity": "power"}),
     ("of unknown meaning", NEW, [30], {"quantity": None}, {"quantity": "power"}),
@@ -218,10 +218,9 @@ def test_remedies_work_when_followed(tmp_path: Path, monkeypatch: pytest.MonkeyP
     signals, two = folder(POWER * np.exp(1j * PHASE)), folder()
     stated, world = (folder(POWER, TIFFS, ending="tif") for _ in range(2))
     corners = folder(np.pad(POWER[:, 6:-6, 8:-8], [(0, 0), (6, 6), (8, 8)]))
-    for n in range(4):
+    for n in range(3):
         (stated / f"{n}.json").write_text('{"scale_factor": 0.1, "radiometry": "sigma_nought"}')
     (two / "more.csv").write_text("file,azimuth")
-    (two / "0.json").write_text('{"calibration_factor": 2}')
     (world / "0.tfw").touch()
     (tmp_path / "a.SAFE").mkdir()
     (tmp_path / "a.SAFE/manifest.safe").touch()
@@ -281,8 +280,8 @@ def test_remedies_work_when_followed(tmp_path: Path, monkeypatch: pytest.MonkeyP
         (partial(import_pictures, stated), "do not belong together", {}, {"scale": 1.0}),
         (partial(import_pictures, stated, scale=1.0), "says that", {"backscatter": "gamma0"}, {"backscatter": "beta0"}),
         (partial(import_pictures, signals), "give `quantity='complex'`", {}, {"quantity": "complex"}),
-        (partial(import_pictures, two, scale=1.0), "has 2 tables", {}, {"table": two / "angles.csv"}),
-        (partial(import_pictures, two, table=two / "angles.csv"), "nor does its file", {}, {"scale": 1.0}),
+        (partial(import_pictures, two), "has 2 tables", {}, {"table": two / "angles.csv"}),
+        (partial(import_pictures, stated, quantity="amplitude"), "file does not either", {}, {"scale": 1.0}),
         (partial(import_pictures, corners), "that reach from its corners", {}, {"ground": False}),
         (partial(flown, mats[1:]), "is inclined", {}, {"tilted": True}),
         (mat, "leave out `place`", {"place": (48.0, 11.0)}, {"place": None}),

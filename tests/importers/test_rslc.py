@@ -206,7 +206,7 @@ def test_images_of_a_left_looking_radar_are_laid_out_as_those_of_a_right_looking
         ({"Grid/heightAboveEllipsoid": np.array([0.0, 9.0, 3.0])}, {}, "neither rise nor fall as .*heightAbove"),
         ({"frequencyA/HH": np.zeros((0, 30), complex)}, {}, "no pixels of HH, HV, VH, VV in .*; it describes images"),
         ({f"A/{name}": None for name in QUAD}, {}, "no images in .*frequencyA; it describes images without holding"),
-        ({"frequencyA/slantRange": RANGES[:-1]}, {}, "40 azimuth times and 29 slant ranges for .40, 30"),
+        ({"frequencyA/slantRange": RANGES[:-1]}, {}, "40 azimuth times, 29 slant ranges for .40, 30"),
         ({"losUnitVectorX": np.full((2, 2, 2), 2.0)}, {}, "impossible radar direction 2"),
         ({"losUnitVectorX": np.zeros(3)}, {}, r"geolocationGrid of \(3,\) values where its axes have \(2, 2, 2\)"),
         ({"frequencyA/HH": QUAD["HH"][1:]}, {}, r"no images of one size in .*, but \(39, 30\) and \(40, 30\)"),

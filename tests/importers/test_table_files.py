@@ -56,8 +56,8 @@ def test_incidence_angles_in_radians_and_azimuths_in_thousandths(tmp_path):
     ("named", "columns", "sentence"),
     [
         ("Azimuth (grad)", {}, "'Azimuth .grad.' for the azimuth, whose name does not state one unit of angle"),
-        ("azimuth,gain_db", {"scale": "gain_db"}, "'gain_db' for the scale, .* of a linear factor; give factors, 10"),
-        ("azimuth,m_per_px", {"spacing": "m_per_px"}, "'m_per_px' for the spacing, whose name does not state one unit"),
+        ("azimuth,GaindB", {"scale": "GaindB"}, "'GaindB' for the scale, .* of a linear factor; give factors .x dB"),
+        ("azimuth,gap_hz", {"spacing": "gap_hz"}, "'gap_hz' for the spacing, whose name does not state one unit of"),
         ("azimuth_m", {}, "'azimuth_m' for the azimuth, whose name does not state one unit of angle; give degrees"),
         ("bearing", {}, r"looks like the azimuth; name it with .* \(there are file, bearing, grazing\)"),
         ("bearing", {"azimuth": "bearing"}, "'bearing' for the azimuth, a direction of sight by its name"),

@@ -243,9 +243,10 @@ def test_images_without_azimuth_are_located_too(
     assert 0 < placed.azimuth_std_deg == pytest.approx(found.azimuth_std_deg[7, 1])
     np.testing.assert_array_equal(read_dataset(tmp_path / "copy").power[-1], power)
     signal = np.sqrt(dataset.power).astype(np.complex64)
-    waves = replace(dataset, power=signal.real**2, signal=signal)
-    write_dataset(tmp_path / "complex", waves, pictures={lost["file"]: power})
+    masks, waves = np.zeros_like(dataset.power, "u1"), replace(dataset, power=signal.real**2, signal=signal)
+    write_dataset(tmp_path / "complex", waves, pictures={lost["file"]: power}, masks=masks)
     assert write_back(found, tmp_path / "complex", tmp_path / "of power").entries == copy.entries
+    assert (tmp_path / "of power" / "masks" / "000.png").is_file()
     monkeypatch.setattr(sys.modules["sarsplat.recognition.located"], "_MAX_REVERSED", -1.0)
     with pytest.raises(SarsplatError, match=r"no image of .*data gets an azimuth"):
         write_back(found, tmp_path / "data", tmp_path / "other")

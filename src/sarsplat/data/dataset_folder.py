@@ -17,6 +17,7 @@ from sarsplat.data.dataset import PLAIN_FIELDS, TERRAIN, Dataset, DatasetEntry, 
 from sarsplat.data.files import inside, open_file, plain_os_errors, read_versioned_json, write_bytes, write_json
 from sarsplat.data.folders import new_folder
 from sarsplat.data.header import SCHEMA, SCHEMA_VERSION, DatasetHeader, ViewHeader
+from sarsplat.data.image import power_of_passes
 from sarsplat.data.sidecar import MASKS, encode_masks, sidecars_of
 from sarsplat.data.terrain_file import read_terrain, write_terrain
 from sarsplat.data.tiff import read_tiff, write_tiff
@@ -112,17 +113,19 @@ def write_dataset(
 
 def _unchanged(folder: Path, dataset: Dataset) -> tuple[bool, bool]:
     """Return whether a folder's first and last image of a dataset are still the same, and the same but for a factor."""
-    files = {item.name: item.file for item in read_header(folder).views}
-    pixels = dataset.power if dataset.signal is None else dataset.signal
+    header, pixels = read_header(folder), dataset.power if dataset.signal is None else dataset.signal
+    files, waves = {item.name: item.file for item in header.views}, header.pixels == "complex"
     known = [index for index, entry in enumerate(dataset.entries) if entry.name in files]
     same = alike = bool(known)
     for index in known[:1] + known[-1:]:
         try:
-            stored = read_tiff(inside(folder, files[dataset.entries[index].name]), pixels.shape[1:], pixels.dtype)
+            file = inside(folder, files[dataset.entries[index].name])
+            stored = read_tiff(file, pixels.shape[1:], np.complex64 if waves else np.float32)
         except SarsplatError:  # of another size or type, or gone
             return False, False
-        own, other = (image / (np.abs(image).max() or 1) for image in (pixels[index], stored))
-        same, alike = same and np.array_equal(pixels[index], stored), alike and np.allclose(own, other, atol=0.0)
+        power = dataset.power[index], power_of_passes(stored[None])[0] if waves else stored
+        own, other = (image / (image.max() or 1) for image in power)
+        same, alike = same and np.array_equal(*power), alike and np.allclose(own, other, atol=0.0)
     return same, alike
 
 

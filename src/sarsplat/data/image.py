@@ -119,9 +119,7 @@ class SarImage:
         """
         path = Path(path)
         if path.suffix.lower() != ".png":
-            raise SarsplatError(
-                f"{path} does not end in .png, the only supported picture format; choose a name that does"
-            )
+            raise SarsplatError(f"{path} does not end in .png, the only format of pictures; choose a name that does")
         write_bytes(path, picture_png(self.power, self.view, self.grid, dynamic_range_db))
 
     @checks_arguments
@@ -218,9 +216,7 @@ def picture_png(power: Power, view: View, grid: ImageGrid, dynamic_range_db: flo
 def _draw(power: Power, view: View, grid: ImageGrid, figure: Figure, dynamic_range_db: float) -> None:
     """Draw from white, the `white_level`, to black, `dynamic_range_db` below it."""
     if not 0 < dynamic_range_db < np.inf:
-        raise SarsplatError(
-            f"a dynamic range of {dynamic_range_db} dB cannot be drawn; give a positive one, such as 40"
-        )
+        raise SarsplatError(f"a dynamic range of {dynamic_range_db} dB is not drawn; give a positive one, such as 40")
     extent = grid.extent_m
     width, height = extent[1] - extent[0], extent[2] - extent[3]
     scale = _INCHES / max(width, height)

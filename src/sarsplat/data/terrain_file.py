@@ -117,13 +117,11 @@ def read_heights(path: str | Path) -> MapHeights:
             )
         crs, transform = geotiff.system_of(file), file.transform
         if crs is None and file.driver != "GTiff":
-            raise SarsplatError(
-                f"{path} names no coordinate system; give it one, as by gdal_translate -a_srs EPSG:NUMBER"
-            )
+            raise SarsplatError(f"{path} names no coordinate system; give it one by gdal_translate -a_srs EPSG:NUMBER")
         _refuse_units(path, crs, file.units[0])
         if transform.is_identity:
             raise SarsplatError(
-                f"{path} has no pixel size; give it one, as by gdal_translate -a_srs EPSG:326xx -a_ullr LEFT TOP RIGHT "
+                f"{path} has no pixel size; give it one by gdal_translate -a_srs EPSG:326xx -a_ullr LEFT TOP RIGHT "
                 "BOTTOM"
             )
         if transform.b or transform.d or transform.a < 0:

@@ -54,7 +54,8 @@ FACTORS: dict[str, tuple[int, tuple[Quantity, ...]]] = {
 """Meaning → exponent that makes its number a factor on the power, and possible quantities of the pixels."""
 
 _LENGTH, _ANGLE, _FACTOR = "length", "angle", "a linear factor"
-_GIVEN = {_LENGTH: "metres", _ANGLE: "degrees", _FACTOR: "factors, 10^(x / 20) on the numbers for x decibels"}
+_USUAL = {_LENGTH: "metres", _ANGLE: "degrees", _FACTOR: "factors (x dB: 10^(x/20) on amplitudes, 10^(x/10) on power)"}
+"""Units of numbers that are not converted."""
 _RADIAN = math.degrees(1.0)
 _UNITS: dict[str, tuple[str, float]] = {
     **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), (_LENGTH, 1.0)),
@@ -64,10 +65,11 @@ _UNITS: dict[str, tuple[str, float]] = {
     **dict.fromkeys(("deg", "degree", "degrees"), (_ANGLE, 1.0)),
     **dict.fromkeys(("rad", "radian", "radians"), (_ANGLE, _RADIAN)),
     **{**dict.fromkeys(("gon", "gradian", "gradians"), (_ANGLE, 0.9)), "mrad": (_ANGLE, _RADIAN / 1e3)},
-    **dict.fromkeys(("mil", "mils", "yd", "arcmin", "arcsec", "grad", "per", "hz", "khz", "mhz"), ("other", 1.0)),
-    **dict.fromkeys(("db", "decibel", "decibels"), ("decibels", 1.0)),
+    **dict.fromkeys(("mil", "mils", "yd", "arcmin", "arcsec", "grad"), ("another unit", 1.0)),
 }
-"""Words in names of columns → quantity, and m or degrees of one (a grad is a gradian, or a German degree)."""
+"""Words in names of columns → quantity, and m or degrees of one (the German Grad is a degree)."""
+_FOREIGN = {word: ("foreign", 1.0) for word in ("hz", "khz", "mhz", "ghz", "db", "decibel", "decibels")}
+"""Words for units that are not converted; numbers per unit are something else."""
 _MEASURED = {
     **dict.fromkeys(("azimuth", "heading", "grazing", "incidence", "azimuth-std", "tilt"), (_ANGLE, 1.0)),
     "baseline": (_ANGLE, _RADIAN),
@@ -229,11 +231,11 @@ def converted(table: CsvTable, columns: Columns) -> CsvTable:
     factors: dict[str, float] = {}
     for meaning, (kind, usual) in _MEASURED.items():
         words = _words(column := columns.get(meaning, ""))
-        stated = {_UNITS[word] for word in words if word in _UNITS and (word != "in" or word == words[-1])}
-        if kind == _FACTOR:
-            stated &= {_UNITS["db"]}
+        foreign = {} if "per" in words else _FOREIGN
+        units = foreign if kind == _FACTOR else _UNITS | foreign
+        stated = {units[word] for word in words if word in units and (word != "in" or word == words[-1])}
         if len(stated) > 1 or any(quantity != kind for quantity, _ in stated):
-            unit = "b/R in radians" if meaning == "baseline" else _GIVEN[kind]
+            unit = "b/R in radians" if meaning == "baseline" else _USUAL[kind]
             raise SarsplatError(
                 f"{table.path} has {shown(column)} for the {meaning}, whose name does not state one unit of {kind}; "
                 f"give {unit}, and rename it"
@@ -250,7 +252,9 @@ def converted(table: CsvTable, columns: Columns) -> CsvTable:
 
 
 def _words(name: str) -> list[str]:
-    return re.findall(r"[^\W\d_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name.replace("º", " deg ")).lower())
+    return re.findall(
+        r"[^\W\d_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name.replace("º", " deg ").replace("dB", " db ")).lower()
+    )
 
 
 def _plain(name: str) -> str:

@@ -132,11 +132,11 @@ def read_pictures(
         pictures.append(Picture(row, values, view, about.get("ground_range", False)))
     columns = ", ".join(f"{meaning} = {name}" for meaning, name in listed.columns.items())
     told = [f"columns of the table: {columns}"]
-    stating = [picture.row.name for picture in pictures if picture.values.tags.factors]
-    if len(stating) < len(pictures) and any(picture.values.power_factor != 1 for picture in pictures):
-        silent = next(picture.row for picture in pictures if not picture.values.tags.factors)
-        remedy = f"nor does its file, as {stating[0]} does; fill in a column of factors for all, or give `scale`"
-        listed.refuse_unstated("factor", silent, remedy)
+    stating = [one.row.name for one in pictures if one.values.power_factor != 1]
+    silent = [one.row for one in pictures if not one.values.tags.factors and one.row.scale is None]
+    if stating and silent:
+        remedy = f"the file does not either, but that of {stating[0]} does: fill in a factor for each, or give `scale`"
+        listed.refuse_unstated("factor", silent[0], remedy)
     factors = FACTORS.keys() & listed.columns.keys() if pictures[-1].row.power_factor is not None else ()
     told += [told_of_factor(meaning, listed.columns[meaning]) for meaning in factors]
     told += [f"the numbers are {pictures[-1].values.quantity}"] if quantity is None else []

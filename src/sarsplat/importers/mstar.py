@@ -130,7 +130,7 @@ def import_mstar(
         counts, depressions = divided.counts, sorted({chip.depression for chip in divided.train})
         placed = [chip for chip in divided.train if chip.placed]
         if not placed:
-            raise SarsplatError(f"no training chip of {target_class} has an azimuth in {labels}; fill some in")
+            raise SarsplatError(f"no training chip of {target_class} has a target_az_deg in {labels}; fill some in")
         train = _training_chips(placed, train_views, depressions)
         every = [*placed, *(chip for chip in divided.test if chip.placed)]
         of_split = [*divided.train, *divided.test]

@@ -187,9 +187,7 @@ def read_phoenix(path: str | Path) -> PhoenixChip:
         if bad.any():
             row, column = np.argwhere(bad)[0]
             value = values[row, column]
-            raise_damaged(
-                path, f"holds the {what} {value:.6g} at row {row}, column {column}, not {least:g} to {most:g}"
-            )
+            raise_damaged(path, f"holds {what} {value:.6g} at row {row}, column {column}, not {least:g} to {most:g}")
     return PhoenixChip(path, header, magnitude, phase)
 
 

@@ -76,10 +76,10 @@ def refuse_bomb(path: Path, values: int) -> None:
 
 
 def sidecar_scaling(path: Path) -> Tags:
-    """Return scale, offset and factors by the file NAME.png.aux.xml or the JSON beside a picture NAME.png."""
+    """Return what NAME.png.aux.xml says of a picture NAME.png, or the JSON beside it unless it is an array."""
     sidecar = path.with_name(path.name + _SIDECAR)
     if not sidecar.exists() or not re.search(rb"<Scale>|<Offset>|_factor", sidecar.read_bytes()):
-        return Tags(**_calibration(path, ""))  # or only statistics
+        return Tags() if path.suffix in (".npy", ".mat") else Tags(**_calibration(path, ""))  # or only statistics
     with opened_raster(path) as file:
         return Tags(**_scaling(path, file, file.indexes))
 
@@ -166,12 +166,12 @@ def _require_plain(path: Path, file: Any) -> None:
     polarisations = [*dict.fromkeys(channel[0].upper() for channel in channels if channel)]
     for wrong, problem in (
         (bool(file.subdatasets), "has several pages; give one image for each file"),
-        (file.count > 3, f"has {file.count} bands; give one, or two: the real and the imaginary part"),
         (
             len(polarisations) > 1,
             f"has bands of several polarisations ({', '.join(polarisations)}); give one in each file, as by "
             "gdal_translate -b 1",
         ),
+        (file.count > 3, f"has {file.count} bands; give one, or two: the real and the imaginary part"),
         (
             file.tags(ns="IMAGE_STRUCTURE").get("MINISWHITE") == "YES",
             "says that zero is white; write it again with black as zero",

@@ -174,9 +174,7 @@ def read_rslc(path: Path, images: str | None = None) -> Rslc:
         shape = shapes.pop()
         times, ranges = fields.line(f"{swaths}/zeroDopplerTime"), fields.line(f"{group}/slantRange")
         if (len(times), len(ranges)) != shape:
-            raise_damaged(
-                path, f"has {len(times)} azimuth times and {len(ranges)} slant ranges for {shown(shape)} pixels"
-            )
+            raise_damaged(path, f"has {len(times)} azimuth times, {len(ranges)} slant ranges for {shown(shape)} pixels")
         identification = f"{product.rpartition('/')[0]}/identification"
         look = fields.text(f"{identification}/lookDirection").lower()
         if look not in _LOOKS:

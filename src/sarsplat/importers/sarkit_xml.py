@@ -24,7 +24,7 @@ LONGEST_XML = 4 << 20
 _HIGHEST_ORDER = 20
 _NITF_MAGICS = (b"NITF02.10", b"NSIF01.00")
 _FILE_LENGTH_AT = 342  # bytes from the start
-_SHAPE = ("NROWS", "NCOLS", "IC")
+_FIELDS = ("NROWS", "NCOLS", "IC")
 
 logging.getLogger("jbpy").setLevel(logging.CRITICAL)  # what is wrong with a file is said by our own errors
 
@@ -100,7 +100,7 @@ def is_nitf(path: Path) -> bool:
 
 
 def _few_bands(name: str) -> Any:
-    """Make an image segment that does not read over nine bands, for which jbpy takes minutes; a SICD has two."""
+    """Return jbpy's image segment, but blind to more than nine bands, which take it minutes; a SICD has two."""
     from jbpy.core import ImageSegment
 
     segment: Any = ImageSegment(name)
@@ -130,7 +130,7 @@ def read_nitf(path: Path, file: BinaryIO) -> tuple[lxml.etree._ElementTree, list
         images = sorted((one["subheader"]["IID1"].value, k, one) for k, one in enumerate(nitf["ImageSegments"]))
         extensions = [(one["DESDATA"].get_offset(), one["DESDATA"].size) for one in nitf["DataExtensionSegments"]]
         segments = [
-            Segment(one["Data"].get_offset(), one["Data"].size, *(one["subheader"][part].value for part in _SHAPE))
+            Segment(one["Data"].get_offset(), one["Data"].size, *(one["subheader"][name].value for name in _FIELDS))
             for name, _, one in images
             if name.startswith("SICD")
         ]

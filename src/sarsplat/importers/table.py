@@ -122,7 +122,7 @@ def read_picture_table(folder: Path, about: AboutPictures, *, compass: bool = Fa
     }
     if (factor := unused_factor(table, columns)) is not None:
         warn_caller(
-            f"{table.path} has the column {shown(factor)}, which is not used; if it holds factors, no dB, name it with "
+            f"{table.path} has the column {shown(factor)}, not used; if it holds factors and not dB, name it with "
             f"`columns={{'scale': '{factor}'}}`, or `columns={{'calibration-factor': '{factor}'}}` for the power's"
         )
     require(table, columns, about.get("grazing_deg") is None, spacing, about.get("look") is not None)

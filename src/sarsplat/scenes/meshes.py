@@ -37,7 +37,7 @@ _MAX_PARTS = 2_000  # maximum number of nodes and primitives of a glTF scene: tr
 _MAX_SOLIDS = 1_000  # maximum number of solids in an ASCII .stl file: 0.5 ms for each
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 
-_VISIBLE = "KHR_node_visibility"
+_VISIBLE, _COPIES = "KHR_node_visibility", "EXT_mesh_gpu_instancing"
 _HARMLESS = re.compile(r"[A-Z]+_(materials|texture|lights|xmp)\w*|KHR_mesh_quantization|" + _VISIBLE)
 """Names of glTF's extensions that do not change the surface, or that are read here."""
 _FAN, _TRIANGLES = 6, 4
@@ -153,7 +153,9 @@ def read_mesh(path: Path) -> Trimesh:
         size = path.stat().st_size
         with path.open("rb") as file:
             head = file.read(_HEAD)
-            binary = kind == ".glb" or _is_binary(kind, head, size)
+            binary = kind == ".glb" or (kind == ".stl" and size == 84 + 50 * int.from_bytes(head[80:84], "little"))
+            if kind == ".ply":  # trimesh's criterion
+                binary = not re.match(rb"[^\r\n]*[\r\n]+[^\r\n]*ascii", head, re.IGNORECASE)
             if size > _LARGEST["binary" if binary else kind]:
                 of_text = "" if binary else " of text"
                 raise SarsplatError(
@@ -215,12 +217,6 @@ def _read_with_trimesh(path: Path, kind: str, data: bytes) -> Trimesh:
     return mesh
 
 
-def _is_binary(kind: str, head: bytes, size: int) -> bool:
-    if kind == ".stl":
-        return size == 84 + 50 * int.from_bytes(head[80:84], "little")
-    return kind == ".ply" and not re.match(rb"[^\r\n]*[\r\n]+[^\r\n]*ascii", head, re.IGNORECASE)  # trimesh's criterion
-
-
 def _plain_text(kind: str, data: bytes) -> bytes:
     """Return UTF-8 text without materials, comments and empty lines, which are expensive for trimesh."""
     data = data.decode("utf-8", "replace").encode()
@@ -276,12 +272,13 @@ def _scene_of(data: bytes) -> dict[str, Any]:
         raise SarsplatError(f"is not a whole .glb file with at most {_LONGEST_SCENE} bytes of JSON; export it again")
     try:
         scene: dict[str, Any] = json.loads(data[20 : 20 + length].decode())
-        used, required = ({*scene.get(f"extensions{key}", ())} for key in ("Used", "Required"))
-        needed = sorted(required - {*filter(_HARMLESS.fullmatch, required)} | used & {"EXT_mesh_gpu_instancing"})
+        gaussians = "KHR_gaussian_splatting" in scene.get("extensionsUsed", ())
+        needed = [name for name in scene.get("extensionsRequired", ()) if not _HARMLESS.fullmatch(name)]
+        needed += [_COPIES] * any(_COPIES in node.get("extensions", ()) for node in scene.get("nodes", ()))
         numbers, parts = _unfolded(scene)
     except (LookupError, TypeError, AttributeError, ValueError, RecursionError) as error:
-        raise SarsplatError(f"has a scene that is not read ({repr(error)[:150]}); export it again") from error
-    if "KHR_gaussian_splatting" in used:
+        raise SarsplatError(f"has a scene not read ({repr(error)[:120]}); export it as one plain mesh") from error
+    if gaussians:
         raise SarsplatError("holds Gaussians (KHR_gaussian_splatting), no mesh; give a mesh, or `sarsplat render` them")
     if needed:
         raise SarsplatError(f"needs {', '.join(needed)[:80]}, which is not read; export it without that extension")
@@ -311,14 +308,15 @@ def _plain_glb(data: bytes, scene: dict[str, Any]) -> tuple[bytes, int]:
             scene["accessors"].append({**view, "count": triangles.size})
             fan |= {"indices": len(scene["accessors"]) - 1, "mode": _TRIANGLES}
             values += triangles.tobytes()
-        deformed = any(any(one.get("weights", ())) for one in (*nodes, *scene.get("meshes", ())))
+        drawn = [node for node in nodes if "mesh" in node]
+        deformed = any(any(one.get("weights", scene["meshes"][one["mesh"]].get("weights", ()))) for one in drawn)
         for index in {one["attributes"]["POSITION"] for mesh in scene.get("meshes", ()) for one in mesh["primitives"]}:
             if deformed or scene["accessors"][index].get("normalized"):
                 raise ValueError("morph targets and normalised positions are not read")
         if hidden or fans:
             scene["buffers"][0]["byteLength"] = len(values)
     except (LookupError, TypeError, AttributeError, ValueError) as error:
-        raise SarsplatError(f"has a scene that is not read ({repr(error)[:150]}); export it again") from error
+        raise SarsplatError(f"has a scene not read ({repr(error)[:120]}); export it as one plain mesh") from error
     if not (hidden or fans):
         return data, 0
     text = json.dumps(scene).encode()
