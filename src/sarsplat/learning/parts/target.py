@@ -104,7 +104,8 @@ class Target(Part):
         scales = means.new_tensor(_start_scales_m(config, self._coarsest_m)).repeat(n, 1)
         gamma0 = config.initial_scattering
         shows_more = train.ground or config.ground or config.surroundings or self.frame.stacks
-        if not (shows_more or config.box_m or train.target_box_m):
+        outshone = usual_peak(train.power) < train.power.max()  # by corner reflectors, which begin bright
+        if not (outshone or shows_more or config.box_m or train.target_box_m):
             first = Gaussians(means, quaternions, scales, depth, Harmonics.initial(n, 1.0, 0.0))
             returned = _returned_gamma0(first, train, self._levels.grid_at(self._levels.coarsest)) / self.frame.unit
             gamma0 = max(gamma0 * min(returned, 1.0), _OVER_P_MIN * config.p_min)
@@ -282,14 +283,13 @@ def scales_m(config: Config, cell_m: float, coarsest: int = 1) -> tuple[float, f
 def _returned_gamma0(gaussians: Gaussians, train: Dataset, grid: ImageGrid) -> float:
     """γ⁰ with which Gaussians would return each image's power: the upper quartile over the training views.
 
-    By the mean, views in which the target is bright would begin too dark. Power is clipped at the `usual_peak`, so that
-    corner reflectors hardly count; `grid` sets the rays.
+    By the mean, views in which the target is bright would begin too dark. `grid` sets the rays.
     """
-    ones, peak, found = gaussians.means.new_ones(1, len(gaussians), 1), usual_peak(train.power), list[float]()
+    ones, found = gaussians.means.new_ones(1, len(gaussians), 1), list[float]()
     for view, image in zip(train.views, train.power, strict=True):
         lit_m2 = render(gaussians, [view], grid, amplitudes=ones).lit_area.numpy().sum(dtype=np.float64)
-        power = np.minimum(image, peak).sum(dtype=np.float64)
-        found.append(float(power) * math.prod(train.grid.spacing_m) / max(lit_m2, grid.cell_m**2))
+        power = float(image.sum(dtype=np.float64)) * math.prod(train.grid.spacing_m)
+        found.append(power / max(lit_m2, grid.cell_m**2))
     return float(np.quantile(found, 0.75))
 
 
