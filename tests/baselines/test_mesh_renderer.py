@@ -58,9 +58,8 @@ def layers(renderer: MeshRenderer, mesh: Mesh, view: View = VIEW, gamma0: float 
 @pytest.mark.parametrize("renderer", [SHARP, SOFT])
 def test_a_plate_facing_the_radar_returns_its_area_from_its_range(renderer):
     image = layers(renderer, facing_plate(3.0, 1.2, parts=11), gamma0=0.7)
-    assert image.target.sum().item() * math.prod(GRID.spacing_m) == pytest.approx(
-        0.7 * 9.0, rel=0.04
-    )  # ripple of samples as far apart as the response
+    power_m2 = image.target.sum().item() * math.prod(GRID.spacing_m)
+    assert power_m2 == pytest.approx(0.7 * 9.0, rel=0.04)  # ripple of samples as far apart as the response
     assert image.sections.sum().item() == pytest.approx(0.7 * 9.0, rel=1e-3)
     target = image.target.numpy()
     assert (target.sum(axis=1) @ GRID.range_m) / target.sum() == pytest.approx(1.2, abs=0.03)

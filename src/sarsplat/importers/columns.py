@@ -67,7 +67,7 @@ _UNITS: dict[str, tuple[str, float]] = {
     **{**dict.fromkeys(("gon", "gradian", "gradians"), (_ANGLE, 0.9)), "mrad": (_ANGLE, _RADIAN / 1e3)},
     **dict.fromkeys(("mil", "mils", "yd", "arcmin", "arcsec", "grad"), ("another unit", 1.0)),
 }
-"""Words in names of columns → quantity, and m or degrees of one (the German Grad is a degree)."""
+"""Words in names of columns → quantity, and m or degrees of one (a grad may be a German degree)."""
 _FOREIGN = {word: ("foreign", 1.0) for word in ("hz", "khz", "mhz", "ghz", "db", "decibel", "decibels")}
 """Words for units that are not converted; numbers per unit are something else."""
 _MEASURED = {

@@ -157,7 +157,7 @@ def _geodetic(georeference: Georeference, places: Float64[np.ndarray, "2 n"], na
     """Convert points of a map to longitude and latitude, degrees, WGS 84."""
     if georeference.epsg in (None, _WGS_84):
         if not math.isclose(georeference.crs.axis_info[0].unit_conversion_factor, math.pi / 180):
-            raise SarsplatError(f"{name} lies in {georeference.system}, not in degrees; convert it to these")
+            raise SarsplatError(f"{name} lies in {georeference.system}, not in degrees; use gdalwarp -t_srs EPSG:4326")
         return places
     from pyproj import Transformer
 

@@ -79,7 +79,7 @@ def sidecar_scaling(path: Path) -> Tags:
     """Return what NAME.png.aux.xml says of a picture NAME.png, or the JSON beside it unless it is an array."""
     sidecar = path.with_name(path.name + _SIDECAR)
     if not sidecar.exists() or not re.search(rb"<Scale>|<Offset>|_factor", sidecar.read_bytes()):
-        return Tags() if path.suffix in (".npy", ".mat") else Tags(**_calibration(path, ""))  # or only statistics
+        return Tags() if path.suffix.lower() in (".npy", ".mat") else Tags(**_calibration(path, ""))
     with opened_raster(path) as file:
         return Tags(**_scaling(path, file, file.indexes))
 
