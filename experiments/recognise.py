@@ -48,7 +48,7 @@ HOW_TO = ROOT / "docs" / "how-to" / "recognise.md"
 RUNS_FILE = "recognise-runs.csv"
 TRAINING, TEST = 17, 15
 CLASSES = ("T72", "BMP2", "BTR70", "2S1", "ZSU234", "BTR60", "BRDM2", "D7", "T62", "ZIL131")
-VIEWS = (12, 5)
+VIEWS = (20, 12, 8, 5)
 """Numbers of training chips of a class."""
 
 COLUMNS = {
@@ -184,23 +184,26 @@ def _keep(out: Path, line: Mapping[str, Any]) -> None:
 
 def table(lines: Sequence[Mapping[str, str]]) -> str:
     """What was located and how well, as Markdown: the mean over seeds of each number of chips and arm."""
-    rows = [["chips of a class", "", *COLUMNS.values(), "images"], ["---", "---", *["---:"] * (len(COLUMNS) + 1)]]
+    rows = [
+        ["chips of a class", "", *COLUMNS.values(), "images", "seeds"],
+        ["---", "---", *["---:"] * (len(COLUMNS) + 2)],
+    ]
     for label in sorted({line["chips"] for line in lines}, key=_number):
         for arm, title in ARMS.items():
             own = [line for line in lines if (line["chips"], line["arm"]) == (label, arm)]
             if own:
-                rows.append([str(_number(label)), title, *(_text(name, own) for name in COLUMNS), own[0]["images"]])
+                scores = (_text(name, own) for name in COLUMNS)
+                rows.append([str(_number(label)), title, *scores, own[0]["images"], str(len(own))])
     return "".join(f"| {' | '.join(row)} |\n" for row in rows)
 
 
 def about(lines: Sequence[Mapping[str, str]]) -> str:
     """What was done, as one paragraph."""
-    classes, seeds = lines[0]["classes"], len({line["seed"] for line in lines})
-    images, calibrated = lines[0]["images"], lines[0]["calibrated by"]
+    classes, images, calibrated = (lines[0][name] for name in ("classes", "images", "calibrated by"))
     return (
         f"{classes} classes of MSTAR, each learned from a few chips at {TRAINING}°, evenly spaced in azimuth, by the "
-        f"preset `measured` with {'seed 0' if seeds == 1 else f'{seeds} seeds'}; {images} chips at {TEST}°, located "
-        f"as if their azimuth were unknown. The odds are calibrated by {calibrated} other chips at {TRAINING}°; "
+        f"preset `measured`; {images} chips at {TEST}°, located as if their azimuth were unknown; means over seeds. "
+        f"The odds are calibrated by {calibrated} other chips at {TRAINING}°; "
         "azimuth errors are those of the "
         f"labelled class. An image is {100 / int(images):.2g} %.\n"
     )
@@ -252,11 +255,12 @@ RECOGNISE = Experiment(
     "*Rotated average*: the training chips, turned to each azimuth and averaged, in place of renderings. "
     "*Network*: that of [the benchmark](chips.md), trained on the same chips, these turned, and chips that the "
     "reconstructions generate; it sees the field, too. Powers of odds in products are chosen by other chips at "
-    f"{TRAINING}°, at most {LABELLED} of a class.",
+    f"{TRAINING}°, at most {LABELLED} of a class. Images that calibrate were evenly spaced in azimuth, as training "
+    "images are, up to 2026-11-30, which makes odds of 8 chips too sure; later ones are chosen by a hash.",
     rows(),
     (),
     judged=(),
-    seeds=(0,),
+    seeds=(0, 1, 2),
     report=report,
 )
 

@@ -302,7 +302,7 @@ def test_classes_and_azimuths_are_reported_by_arm_and_kept(made, module, tmp_pat
         table.report(table, results, tmp_path, tmp_path / "out")
     assert asked == [(2, 0, 7)] * 2  # of five chips, a training is missing
     page = (tmp_path / "out" / "recognise.md").read_text()
-    assert page.count("| 12 | flat ground | 90.0 % | 1.25° | 80.0 % | – | – | – | – | 40 |") == 1
+    assert page.count("| 12 | flat ground | 90.0 % | 1.25° | 80.0 % | – | – | – | – | 40 | 1 |") == 1
     assert "From 12 chips of a class, 90.0 % of chips are recognised (rotated average 90.0 %, network 90.0 %" in page
 
 

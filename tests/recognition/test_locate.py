@@ -30,6 +30,7 @@ from sarsplat import (
     write_dataset,
 )
 from sarsplat.recognition import Calibration, Located, write_back
+from sarsplat.recognition.chips import most_per_target
 
 MSTAR = Path(__file__).resolve().parents[3] / "shared" / "data" / "mstar"
 
@@ -132,9 +133,8 @@ def test_labelled_azimuths_that_images_contradict_are_named(runs: dict[str, Run]
     assert len(found.contradicted) == 0
     wrong = replace(entries[2], view=replace(entries[2].view, azimuth_deg=(entries[2].view.azimuth_deg + 60) % 360))
     found = locate([runs["long"]], replace(images[0], entries=(*entries[:2], wrong, *entries[3:])), **QUICK)
-    assert re.fullmatch(
-        r"1 of 8, by -\d\d° in the median: 002", found.scores_in_words()["labelled azimuths contradicted"]
-    )
+    named = found.scores_in_words()["labelled azimuths contradicted"]
+    assert re.fullmatch(r"1 of 8, by -\d\d° in the median: 002", named)
 
 
 def numbers(located: Located) -> list[dict[str, str]]:
@@ -155,8 +155,7 @@ def test_neither_order_nor_threads_change_a_bit(
 
 def test_one_run_gives_the_pose_alone(runs: dict[str, Run], images: list[Dataset], located: Located) -> None:
     pose = locate([runs["long"]], images[0], **QUICK)
-    assert (pose.odds == 1).all()
-    assert "accuracy" not in pose.scores()
+    assert (pose.odds == 1).all() and "accuracy" not in pose.scores()
     assert pose.scores()["azimuth within 5°"] >= 0.8
     with pytest.raises(SarsplatError, match="no labelled image of a second class"):
         locate([runs["long"]], images[0].take([0]), calibrate=[images[0].take([1, 2])], **QUICK)
@@ -168,10 +167,8 @@ def test_images_to_be_located_do_not_calibrate(runs: dict[str, Run], images: lis
     assert calibrated.calibration.images == 3 * 6
     assert 1 < calibrated.calibration.temperature < 4  # models are exact, and speckle is white
     assert calibrated.rows()[0]["calibrated"] == "yes"
-    for nothing, sentence in (
-        (tested, "`calibrate` has no image of these classes"),
-        (images[:1], "no labelled image of angle"),
-    ):
+    errors = {"`calibrate` has no image of these classes": tested, "no labelled image of angle": images[:1]}
+    for sentence, nothing in errors.items():
         with pytest.raises(SarsplatError, match=sentence):
             locate(every, tested, calibrate=nothing, **QUICK)
     calibrated.calibration.write(tmp_path / "c.json")
@@ -179,6 +176,9 @@ def test_images_to_be_located_do_not_calibrate(runs: dict[str, Run], images: lis
     np.testing.assert_array_equal(again.odds, calibrated.odds)
     with pytest.raises(SarsplatError, match=r"c\.json was made with .*'step_deg': 6\.0.*, not .*'step_deg': 12\.0"):
         locate(every, tested, calibrate=tmp_path / "c.json", step_deg=12, window_m=8.4)
+    chosen = most_per_target([replace(calibrated.chips[0], name=f"{k}") for k in range(96)], 24)
+    assert len(chosen) == 24
+    assert {int(chip.name) % 4 for chip in chosen} == {0, 1, 2, 3}  # not evenly spaced, as training images are
 
 
 def test_fitted_odds_are_true() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -113,11 +114,9 @@ def require_comparable(chips: Sequence[Chip]) -> None:
 
 
 def most_per_target(chips: Sequence[Chip], count: int) -> list[Chip]:
-    """Return at most this number of images of each class, evenly chosen in the order of their names."""
+    """Return at most this number of images of each class, by a hash: even ones may meet even training images."""
     chosen: list[Chip] = []
     for target in sorted({chip.target for chip in chips}):
-        own = sorted(
-            (chip for chip in chips if chip.target == target), key=lambda chip: (chip.name, chip.power.tobytes())
-        )
-        chosen += [own[k * len(own) // count] for k in range(count)] if len(own) > count else own
+        own = (chip for chip in chips if chip.target == target)
+        chosen += sorted(own, key=lambda chip: sha256(chip.name.encode() + chip.power.tobytes()).digest())[:count]
     return chosen
