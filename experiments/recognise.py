@@ -256,7 +256,7 @@ RECOGNISE = Experiment(
     "*Network*: that of [the benchmark](chips.md), trained on the same chips, these turned, and chips that the "
     "reconstructions generate; it sees the field, too. Powers of odds in products are chosen by other chips at "
     f"{TRAINING}°, at most {LABELLED} of a class. Images that calibrate were evenly spaced in azimuth, as training "
-    "images are, up to 2026-11-30, which makes odds of 8 chips too sure; later ones are chosen by a hash.",
+    "images are, in the figures of 5, 12 and 20 chips up to 2026-11-30; later, and with 8, they are chosen by a hash.",
     rows(),
     (),
     judged=(),
