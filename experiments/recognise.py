@@ -124,7 +124,8 @@ def scores_of(
     learned = sorted((Run.load(folder) for folder in folders), key=target_of)
     tests = [evenly(run.dataset.select(f"test-{TEST}"), each) for run in learned]
     others = [run.dataset.select(f"test-{TRAINING}") for run in learned]
-    helping = [evenly(one, LABELLED) for one in others]  # `locate` calibrates with the rest
+    chance = np.random.default_rng(seed)  # even choices meet even training chips; `locate` calibrates with the rest
+    helping = [one.take(chance.permutation(len(one))[:LABELLED].tolist()) for one in others]
     count = sum(map(len, tests))
     log_odds: dict[str, np.ndarray] = {}
     for arm in LOCATED:
@@ -203,9 +204,8 @@ def about(lines: Sequence[Mapping[str, str]]) -> str:
     return (
         f"{classes} classes of MSTAR, each learned from a few chips at {TRAINING}°, evenly spaced in azimuth, by the "
         f"preset `measured`; {images} chips at {TEST}°, located as if their azimuth were unknown; means over seeds. "
-        f"The odds are calibrated by {calibrated} other chips at {TRAINING}°; "
-        "azimuth errors are those of the "
-        f"labelled class. An image is {100 / int(images):.2g} %.\n"
+        f"The odds are calibrated by {calibrated} other chips at {TRAINING}°; azimuth errors are those of "
+        f"the labelled class. An image is {100 / int(images):.2g} %.\n"
     )
 
 
@@ -255,8 +255,8 @@ RECOGNISE = Experiment(
     "*Rotated average*: the training chips, turned to each azimuth and averaged, in place of renderings. "
     "*Network*: that of [the benchmark](chips.md), trained on the same chips, these turned, and chips that the "
     "reconstructions generate; it sees the field, too. Powers of odds in products are chosen by other chips at "
-    f"{TRAINING}°, at most {LABELLED} of a class. Images that calibrate were evenly spaced in azimuth, as training "
-    "images are, in the figures of 5, 12 and 20 chips up to 2026-11-30; later, and with 8, they are chosen by a hash.",
+    f"{TRAINING}°, at most {LABELLED} of a class. Up to 2026-11-30 these were evenly spaced in azimuth, "
+    "as training chips are, and so were those that calibrate, but not with 8 chips; since then neither is.",
     rows(),
     (),
     judged=(),

@@ -176,7 +176,7 @@ def test_images_to_be_located_do_not_calibrate(runs: dict[str, Run], images: lis
     np.testing.assert_array_equal(again.odds, calibrated.odds)
     with pytest.raises(SarsplatError, match=r"c\.json was made with .*'step_deg': 6\.0.*, not .*'step_deg': 12\.0"):
         locate(every, tested, calibrate=tmp_path / "c.json", step_deg=12, window_m=8.4)
-    chosen = most_per_target([replace(calibrated.chips[0], name=f"{k}") for k in range(96)], 24)
+    chosen = most_per_target([replace(calibrated.chips[0], name=f"{k:02}") for k in range(96)], 24)
     assert len(chosen) == 24
     assert {int(chip.name) % 4 for chip in chosen} == {0, 1, 2, 3}  # not evenly spaced, as training images are
 
