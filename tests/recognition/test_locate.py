@@ -30,7 +30,6 @@ from sarsplat import (
     write_dataset,
 )
 from sarsplat.recognition import Calibration, Located, write_back
-from sarsplat.recognition.chips import most_per_target
 
 MSTAR = Path(__file__).resolve().parents[3] / "shared" / "data" / "mstar"
 
@@ -176,9 +175,6 @@ def test_images_to_be_located_do_not_calibrate(runs: dict[str, Run], images: lis
     np.testing.assert_array_equal(again.odds, calibrated.odds)
     with pytest.raises(SarsplatError, match=r"c\.json was made with .*'step_deg': 6\.0.*, not .*'step_deg': 12\.0"):
         locate(every, tested, calibrate=tmp_path / "c.json", step_deg=12, window_m=8.4)
-    chosen = most_per_target([replace(calibrated.chips[0], name=f"{k:02}") for k in range(96)], 24)
-    assert len(chosen) == 24
-    assert {int(chip.name) % 4 for chip in chosen} == {0, 1, 2, 3}  # not evenly spaced, as training images are
 
 
 def test_fitted_odds_are_true() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -111,12 +110,3 @@ def require_comparable(chips: Sequence[Chip]) -> None:
             raise SarsplatError(f"{chip.name} has pixels of another size than {chips[0].name}; locate them separately")
         if not chip.power.any():
             raise SarsplatError(f"{chip.name} is black; leave it out")
-
-
-def most_per_target(chips: Sequence[Chip], count: int) -> list[Chip]:
-    """Return at most this number of images of each class, by a hash: even ones may meet even training images."""
-    chosen: list[Chip] = []
-    for target in sorted({chip.target for chip in chips}):
-        own = (chip for chip in chips if chip.target == target)
-        chosen += sorted(own, key=lambda chip: sha256(chip.name.encode() + chip.power.tobytes()).digest())[:count]
-    return chosen

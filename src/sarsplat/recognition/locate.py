@@ -29,14 +29,11 @@ from sarsplat.geometry import View
 from sarsplat.names import Quantity, Side
 from sarsplat.progress import progress
 from sarsplat.radiometry import to_db
-from sarsplat.recognition.chips import Chip, chips_of, most_per_target, require_comparable
+from sarsplat.recognition.chips import Chip, chips_of, require_comparable
 from sarsplat.recognition.located import Located
 from sarsplat.recognition.odds import TEMPERATURE, Calibration
 from sarsplat.runs import Run
 from sarsplat.samples.chip_set import target_of
-
-_LABELLED = 24
-"""Maximum number of images of a class by which odds are calibrated."""
 
 _FAR_DEG = 14.0
 """Distance from the grazing angles of a training beyond which a warning is given."""
@@ -76,7 +73,7 @@ def locate(
         Datasets, whose azimuths and targets count as labels only, with their images without azimuth; folders of these;
         or folders of pictures with the runs' pixels.
     calibrate : path, or sequence of Dataset or path
-        Labelled datasets of all classes, of which up to 24 images a class calibrate the odds, except those in `images`;
+        Labelled datasets of all classes, whose images calibrate the odds, except those in `images`, the more the truer;
         or the JSON file that `Calibration.write` made.
     split : str, optional
         Set of the datasets in `images`, such as "test-15"; by default all but the training set, if there are others.
@@ -131,10 +128,9 @@ def locate(
     elif sources:
         located = {chip.power.tobytes() for chip in chips}
         others = chips_of(sources, None, None, near, quantity, opened)
-        known = [one for one in others if one.target in calibration.classes and one.power.tobytes() not in located]
-        if not known:
+        labelled = [one for one in others if one.target in calibration.classes and one.power.tobytes() not in located]
+        if not labelled:
             raise SarsplatError("`calibrate` has no image of these classes, besides those to be located; give some")
-        labelled = most_per_target(known, _LABELLED)
     every = [*labelled, *chips]
     require_comparable(every)
     _warn_of_far_angles(opened, every)

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int64
+from jaxtyping import Bool, Float, Float64, Int64
 from torch import Tensor
 
 from sarsplat.data import Dataset
@@ -193,3 +193,8 @@ def column_means(table: Float[Tensor, "n k"]) -> Float[Tensor, " k"]:
     """Mean of each column, always of two or more: the bits of a single sum would depend on torch's threads."""
     columns = table.shape[1]
     return table.expand(-1, max(columns, 2)).mean(0)[:columns]
+
+
+def exact_scale(values: Float[Tensor, "n k"]) -> Float64[Tensor, ""]:
+    """Factor by which values become whole numbers of 64 bits, of which 2²⁷ add up in any order with the same bits."""
+    return 2.0**36 / values.abs().max().double().clamp(min=torch.finfo(values.dtype).tiny)

@@ -4,12 +4,11 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
-from typing import Any
 
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int64
-from torch import Tensor
+from torch import Tensor, nn
 
 from sarsplat.arguments import described
 from sarsplat.data import Dataset
@@ -17,7 +16,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import MIN_SCALE, Gaussians, Harmonics, Scattering, scattering_named
 from sarsplat.gaussians.initialise import BRIGHT_DB, Region, hemisphere_shell, random_quaternions
 from sarsplat.geometry import ImageGrid, Stack
-from sarsplat.learning.parts.part import Learned, Parameters, Part, column_means, late, normal_nats
+from sarsplat.learning.parts.part import Learned, Parameters, Part, column_means, exact_scale, late, normal_nats
 from sarsplat.learning.scene_frame import Levels, SceneFrame
 from sarsplat.radiometry import brighter, usual_peak
 from sarsplat.regions.outlines import levels_db, outline
@@ -25,7 +24,6 @@ from sarsplat.regions.stack_region import enough_gaussians, imaged_sample
 from sarsplat.renderer import Bounds, render
 from sarsplat.renderer.checks import MAX_SCALE
 from sarsplat.renderer.engines.on_device import kept_on_device
-from sarsplat.renderer.engines.operation import differentiable_once
 from sarsplat.renderer.point_queries import at_places
 from sarsplat.settings.config import Config
 
@@ -37,6 +35,9 @@ _INITIAL_WIDTHS = (1.0, 1.0, 0.9)
 
 _OVER_P_MIN = 2.0  # minimum γ⁰ at the start, in P_min, near which the scattering has no gradient
 _SIMILAR = 0.6  # scale of the scattering penalty: larger differences of parameters cost little more
+_ALIKE = 6.0  # side of the cubes within which scattering is alike, resolution cells
+_PARTS = 4  # number of these along a larger cube, whose scattering differs little between them
+_LEAST = 3.0  # number of Gaussians as which the mean of the larger cube counts in that of a cube
 _STEP, _SEED = 0x9E3779B97F4A7C15, 0xD1B54A32D192ED03  # odd multipliers that spread step and seed over 64 bits
 
 _MIX = (0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
@@ -131,13 +132,10 @@ class Target(Part):
             yield normal_nats(scattering[:, 1:] / (config.directional_std * level[:, None].detach()), 1.0)
 
     def penalties(self, p: Parameters) -> Iterator[tuple[str, Float[Tensor, ""]]]:
-        """Penalties on differences of scattering between Gaussians, and of the shared exponents from their start.
-
-        The first is the negative logarithm of Student's t-distribution, up to factors: quadratic for small differences,
-        flat for large ones.
-        """
+        """Penalties on differences of scattering between Gaussians, and of the shared exponents from their start."""
         if self.config.scattering_penalty:
-            yield "scattering penalty", self.config.scattering_penalty * _Spread.apply(p["scattering"])
+            spread = _spread(p["scattering"], p["means"], self._box, _ALIKE * self._cell_m)
+            yield "scattering penalty", self.config.scattering_penalty * spread
         if self.config.law_penalty and "law" in p:
             yield "law penalty", self.config.law_penalty * ((p["law"] - self._usual) ** 2).sum(1).sum(0)
 
@@ -226,22 +224,34 @@ class Target(Part):
         return low, high
 
 
-class _Spread(torch.autograd.Function):
-    """Robust spread of the rows of a table around their mean, which is held constant; few operations."""
+def _spread(
+    rows: Float[Tensor, "n k"], means: Float[Tensor, "n 3"], box: tuple[Tensor, Tensor], side_m: float
+) -> Float[Tensor, ""]:
+    """Spread of rows around the mean of their cube, and of that around the mean of a larger cube, both held constant.
 
-    @staticmethod
-    def forward(ctx: Any, rows: Tensor) -> Tensor:
-        difference = (rows - column_means(rows)).div_(_SIMILAR)
-        squared = difference**2
-        ctx.save_for_backward(difference, squared)
-        return _SIMILAR**2 * column_means(squared.log1p()).sum()
-
-    @staticmethod
-    @differentiable_once
-    def backward(ctx: Any, slope: Tensor) -> Tensor:
-        difference, squared = ctx.saved_tensors
-        scale = slope * _SIMILAR**2 / max(len(difference), 1)
-        return (scale / (squared + 1)).mul_(2 * difference).div_(_SIMILAR)
+    Materials differ from part to part: compared with the mean of all, dim walls would rather be transparent. It is
+    the negative logarithm of Student's t-distribution, up to factors: quadratic at first, flat for large differences.
+    """
+    held = rows.detach()
+    with torch.no_grad():
+        first, last = ([math.floor(place / side_m) for place in corner] for corner in box)
+        larger = [(end - begin) // _PARTS + 1 for begin, end in zip(first, last, strict=True)]
+        _, ny, nz = (_PARTS * count for count in larger)
+        x, y, z = (means / side_m).floor().long().unbind(1)
+        x0, y0, z0 = first
+        cube = (x * (ny * nz) + y * nz + (z - (x0 * ny + y0) * nz - z0)) % (count := math.prod(larger) * _PARTS**3)
+        values = nn.functional.pad(held, (0, 1), value=1.0)
+        scale = exact_scale(values)
+        whole = torch.zeros(count, values.shape[1], dtype=torch.int64, device=values.device)
+        whole.index_add_(0, cube, (values * scale).long())
+        whole = whole.view(*(size for along in larger for size in (along, _PARTS)), -1)
+        (own, n), (above, m) = ((t / scale).tensor_split([-1], 6) for t in (whole, whole.sum((1, 3, 5), keepdim=True)))
+        above = above / m
+        mean = (own + _LEAST * above) / (n + _LEAST)
+        usual = torch.cat([mean, mean - above], dim=6).flatten(0, 5).to(rows.dtype)[cube]
+    mean, deviation = usual.chunk(2, dim=1)
+    difference = torch.cat([rows - mean, deviation + (rows - held)], dim=1) / _SIMILAR
+    return _SIMILAR**2 * column_means((difference**2).log1p()).sum()
 
 
 def law(config: Config, count: int, gamma0: float, stacks: Sequence[Stack] = ()) -> Scattering:

@@ -16,12 +16,12 @@ from torch import Tensor
 from sarsplat.data import Dataset
 from sarsplat.gaussians.initialise import Region
 from sarsplat.learning.optimiser import BETA1, BETA2, EPSILON, Optimiser
+from sarsplat.learning.parts.part import exact_scale
 from sarsplat.learning.strategies.strategy import Configured, Info, State
 from sarsplat.settings.config import Config
 
 _PITCHES = (4, 8)  # spacings of the nodes of the lattices, in resolution cells
 _EVERY = 4  # steps between two moves, each as long as those steps together
-_WHOLE = 2.0**36  # largest value in a sum, as a whole number: 2²⁷ of them fit into 64 bits
 
 
 class CollectiveMoves(Configured):
@@ -93,7 +93,7 @@ class Lattice:
 
     def sums(self, values: Float[Tensor, "n k"]) -> Float[Tensor, "count k"]:
         """Sum the Gaussians' values at the nodes, with their weights; as whole numbers, whose order does not matter."""
-        scale = _WHOLE / values.abs().max().double().clamp(min=torch.finfo(values.dtype).tiny)
+        scale = exact_scale(values)
         total = torch.zeros(self.count, values.shape[1], dtype=torch.int64, device=values.device)
         for nodes, weights in zip(self.nodes, self.weights, strict=True):
             total.index_add_(0, nodes, (weights * values * scale).long())
