@@ -118,8 +118,8 @@ class Config(AnyConfig):
         ground; "image": the mean of the training images with `surroundings` or for stacks, otherwise a power of ten
         about as large as "target", 1 for calibrated images.
     scattering_penalty : float
-        Weight of differences between the Gaussians' scattering, in units of the loss of black images, or, with a
-        likelihood, in nats per pixel. It favours opaque surfaces over thin layers that scatter strongly.
+        Weight of differences between the scattering of neighbours (in cubes of 6 and 24 resolution cells), in units of
+        the loss of black images, or, with a likelihood, in nats per pixel. It favours opaque surfaces over thin layers.
     common_law : bool
         Share the common parameters of the scattering law between all Gaussians: of "normal-lobes" the exponent, which
         starts as 2.

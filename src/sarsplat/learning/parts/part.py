@@ -196,5 +196,5 @@ def column_means(table: Float[Tensor, "n k"]) -> Float[Tensor, " k"]:
 
 
 def exact_scale(values: Float[Tensor, "n k"]) -> Float64[Tensor, ""]:
-    """Factor by which values become whole numbers of 64 bits, of which 2²⁷ add up in any order with the same bits."""
-    return 2.0**36 / values.abs().max().double().clamp(min=torch.finfo(values.dtype).tiny)
+    """Power of two by which values become whole numbers of 64 bits; the sum of 2²⁷ of these has no rounding."""
+    return torch.exp2(36 - values.abs().max().double().clamp(min=torch.finfo(values.dtype).tiny).log2().ceil())

@@ -56,6 +56,7 @@ class Target(Part):
         super().__init__(config, frame, device)
         self._cell_m = frame.cell_m
         self._levels = Levels.of(config, frame)
+        self._corners = [corner.tolist() for corner in self._box]
 
     def look_at(self, cell_m: float) -> None:
         self._cell_m = cell_m
@@ -134,8 +135,7 @@ class Target(Part):
     def penalties(self, p: Parameters) -> Iterator[tuple[str, Float[Tensor, ""]]]:
         """Penalties on differences of scattering between Gaussians, and of the shared exponents from their start."""
         if self.config.scattering_penalty:
-            spread = _spread(p["scattering"], p["means"], self._box, _ALIKE * self._cell_m)
-            yield "scattering penalty", self.config.scattering_penalty * spread
+            yield "scattering penalty", self.config.scattering_penalty * _spread(p, self._corners, self._cell_m)
         if self.config.law_penalty and "law" in p:
             yield "law penalty", self.config.law_penalty * ((p["law"] - self._usual) ** 2).sum(1).sum(0)
 
@@ -224,20 +224,19 @@ class Target(Part):
         return low, high
 
 
-def _spread(
-    rows: Float[Tensor, "n k"], means: Float[Tensor, "n 3"], box: tuple[Tensor, Tensor], side_m: float
-) -> Float[Tensor, ""]:
-    """Spread of rows around the mean of their cube, and of that around the mean of a larger cube, both held constant.
+def _spread(p: Parameters, box: list[list[float]], cell_m: float) -> Float[Tensor, ""]:
+    """Spread of scattering around the mean of a cube, and of that around the mean of a larger one, both held constant.
 
     Materials differ from part to part: compared with the mean of all, dim walls would rather be transparent. It is
     the negative logarithm of Student's t-distribution, up to factors: quadratic at first, flat for large differences.
     """
+    rows, side_m = p["scattering"], _ALIKE * cell_m
     held = rows.detach()
     with torch.no_grad():
         first, last = ([math.floor(place / side_m) for place in corner] for corner in box)
         larger = [(end - begin) // _PARTS + 1 for begin, end in zip(first, last, strict=True)]
         _, ny, nz = (_PARTS * count for count in larger)
-        x, y, z = (means / side_m).floor().long().unbind(1)
+        x, y, z = (p["means"] / side_m).floor().long().unbind(1)
         x0, y0, z0 = first
         cube = (x * (ny * nz) + y * nz + (z - (x0 * ny + y0) * nz - z0)) % (count := math.prod(larger) * _PARTS**3)
         values = nn.functional.pad(held, (0, 1), value=1.0)
