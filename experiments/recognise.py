@@ -200,7 +200,8 @@ def table(lines: Sequence[Mapping[str, str]]) -> str:
 
 def about(lines: Sequence[Mapping[str, str]]) -> str:
     """What was done, as one paragraph."""
-    classes, images, calibrated = (lines[0][name] for name in ("classes", "images", "calibrated by"))
+    classes, images = lines[0]["classes"], lines[0]["images"]
+    calibrated = max(int(line["calibrated by"]) for line in lines)
     return (
         f"{classes} classes of MSTAR, each learned from a few chips at {TRAINING}°, evenly spaced in azimuth, by the "
         f"preset `measured`; {images} chips at {TEST}°, located as if their azimuth were unknown; means over seeds. "
@@ -255,8 +256,8 @@ RECOGNISE = Experiment(
     "*Rotated average*: the training chips, turned to each azimuth and averaged, in place of renderings. "
     "*Network*: that of [the benchmark](chips.md), trained on the same chips, these turned, and chips that the "
     "reconstructions generate; it sees the field, too. Powers of odds in products are chosen by other chips at "
-    f"{TRAINING}°, at most {LABELLED} of a class. Up to 2026-11-30 these were evenly spaced in azimuth, "
-    "as training chips are, and so were those that calibrate, but not with 8 chips; since then neither is.",
+    f"{TRAINING}°, at most {LABELLED} of a class; with 12 chips these were evenly spaced "
+    "in azimuth, as training chips are. The odds in products, and of the network, are calibrated by 240 chips.",
     rows(),
     (),
     judged=(),
