@@ -66,7 +66,7 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
     mesh = target_mesh("t72")
     images = [SarImage(power, view, grid) for power, view in zip(simulate_images(mesh, views, grid), views)]
     dataset = write_dataset(folder / "t72", Dataset.from_images(images, target="t72"))
-    few = replace(preset("quick"), iterations=10, gaussians=400, points=FEW_POINTS)
+    few = replace(preset("quick"), iterations=20, gaussians=400, points=FEW_POINTS)
     reconstruct(dataset, few, folder / "t72-run", quiet=True)
     made_up("T72", folder / "mstar-t72-run")
     return folder
