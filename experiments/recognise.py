@@ -201,12 +201,12 @@ def table(lines: Sequence[Mapping[str, str]]) -> str:
 def about(lines: Sequence[Mapping[str, str]]) -> str:
     """What was done, as one paragraph."""
     classes, images = lines[0]["classes"], lines[0]["images"]
-    calibrated = max(int(line["calibrated by"]) for line in lines)
+    calibrated = sorted({int(line["calibrated by"]) for line in lines})
     return (
         f"{classes} classes of MSTAR, each learned from a few chips at {TRAINING}°, evenly spaced in azimuth, by the "
         f"preset `measured`; {images} chips at {TEST}°, located as if their azimuth were unknown; means over seeds. "
-        f"The odds are calibrated by {calibrated} other chips at {TRAINING}°; azimuth errors are those of "
-        f"the labelled class. An image is {100 / int(images):.2g} %.\n"
+        f"Odds are calibrated by {calibrated[0]} to {calibrated[-1]} other chips at {TRAINING}°; azimuth errors are "
+        f"of the labelled class. An image is {100 / int(images):.2g} %.\n"
     )
 
 
@@ -257,7 +257,7 @@ RECOGNISE = Experiment(
     "*Network*: that of [the benchmark](chips.md), trained on the same chips, these turned, and chips that the "
     "reconstructions generate; it sees the field, too. Powers of odds in products are chosen by other chips at "
     f"{TRAINING}°, at most {LABELLED} of a class; with 12 chips these were evenly spaced "
-    "in azimuth, as training chips are. The odds in products, and of the network, are calibrated by 240 chips.",
+    "in azimuth, as training chips are. Odds in products are calibrated by the fewest.",
     rows(),
     (),
     judged=(),

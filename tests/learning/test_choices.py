@@ -208,8 +208,8 @@ def test_gains_count_from_a_quarter_decibel_and_displacements_that_images_do_not
 
 
 def test_the_scale_of_all_images_changes_no_choice(scene: Dataset) -> None:
-    louder = replace(scene, power=1000 * scene.power)
-    assert replace(chosen(louder), evidence="") == replace(chosen(scene), evidence="")
+    louder = replace(scene, power=1024 * scene.power)  # without rounding, which changes digits of the evidence
+    assert chosen(louder) == chosen(scene)
 
 
 def test_a_small_target_in_large_images_is_still_small(scene: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
