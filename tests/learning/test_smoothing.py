@@ -61,6 +61,16 @@ def test_a_bump_in_a_plane_is_drawn_back() -> None:
     assert abs(moved[~bump, 2].mean() - 2.5) < 0.02
 
 
+def test_a_dome_keeps_its_radius() -> None:
+    """A plane through neighbours up to three cells away is a hundredth of the radius inside."""
+    chance = np.random.default_rng(0)
+    outwards = chance.normal(size=(60_000, 3))
+    outwards /= np.linalg.norm(outwards, axis=1, keepdims=True)
+    means = (20 + chance.normal(0, 0.1, (len(outwards), 1))) * outwards
+    moves, *_ = planes(means, outwards, np.ones(len(means)), 1.0, 3.0)
+    assert abs((moves * outwards).sum(1).mean()) < 0.005
+
+
 def test_layers_of_a_cube_move_as_one_and_what_is_not_lit_stays() -> None:
     means = sheet(0.1)
     lit = (means[:, 2] > 2.5).astype(float)
@@ -183,12 +193,15 @@ def test_a_lattice_carries_places_linearly_and_its_sums_are_the_transpose_in_any
 
 def test_neighbours_move_alike_in_collective_moves(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scene_frame, "_MIN_ACROSS", 2)
-    config = replace(preset("default"), iterations=40, gaussians=400, coarsest=2)
+    config = replace(preset("default"), iterations=40, gaussians=400, coarsest=2, law_from=0.8)
     alone, together = (
         Trainer(dataset, replace(config, smoothing=Smoothing(rounds=1, collective=rate))) for rate in (0.0, 0.02)
     )
     for _ in range(32):
-        assert alone.step() == together.step()  # the first move is after these steps
+        assert alone.step() == together.step()  # the first move, and the first change of scattering, are after these
+    change = (together.gaussians.scattering.parameters - alone.gaussians.scattering.parameters)[:, :2]
+    assert change[0].abs().min() > 0.01
+    torch.testing.assert_close(change, change[:1].expand_as(change))
     moves = together.gaussians.means - alone.gaussians.means
     nearest = torch.cdist(alone.gaussians.means, alone.gaussians.means).topk(2, largest=False).indices[:, 1]
     assert 0.0 < (moves - moves[nearest]).norm(dim=1).median() < 0.5 * moves.norm(dim=1).median()

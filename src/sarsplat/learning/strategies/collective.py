@@ -1,7 +1,7 @@
-"""Collective moves: neighbours move together along the sum of their gradients.
+"""Collective steps: neighbours move together along the sum of their gradients, and all change their scattering alike.
 
 A bulge of a uniform surface changes each Gaussian's gradient by less than its noise, so that steps of single Gaussians
-do not remove it. In the sum over a neighbourhood it stands out.
+do not remove it. In the sum over a neighbourhood it stands out; so does a wrong scattering law in the sum over all.
 """
 
 import itertools
@@ -16,7 +16,7 @@ from torch import Tensor
 from sarsplat.data import Dataset
 from sarsplat.gaussians.initialise import Region
 from sarsplat.learning.optimiser import BETA1, BETA2, EPSILON, Optimiser
-from sarsplat.learning.parts.part import exact_scale
+from sarsplat.learning.parts.part import column_means, exact_scale
 from sarsplat.learning.strategies.strategy import Configured, Info, State
 from sarsplat.settings.config import Config
 
@@ -29,6 +29,7 @@ class CollectiveMoves(Configured):
 
     Coarser images do not resolve what a node moves, such as a house. Steps shrink to zero, so that edges, which are
     carried along, return to their places. Mean squares begin at 0: the first moves, of the largest bulges, are longer.
+    Scattering takes the same kind of steps at its own rate from `Config.law_from` on, at all levels.
     """
 
     order = 8
@@ -44,29 +45,47 @@ class CollectiveMoves(Configured):
         return cls(smoothing.collective) if wanted else None
 
     def initial_state(self, params: dict[str, Tensor]) -> State:
-        return State(whole={str(pitch): params["means"].detach().new_zeros(0, 4) for pitch in _PITCHES})
+        means, columns = params["means"].detach(), params["scattering"].shape[1]
+        moments = {str(pitch): means.new_zeros(0, 4) for pitch in _PITCHES} | {
+            "scattering": means.new_zeros(1, 2 * columns)
+        }
+        return State(whole=moments, added=("scattering",))
 
     @torch.no_grad()
     def step_post_backward(
         self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
     ) -> None:
         levels, frame = info.model.levels, info.model.frame
-        if levels.coarsest == 1 or step % _EVERY or levels.factor(step - 1) > 1:  # vehicles have no large surfaces
+        if levels.coarsest == 1 or step % _EVERY:  # vehicles have no large surfaces
+            return
+        if step >= info.model.config.law_from * levels.iterations:
+            steps = _steps(column_means(optimizers.state["scattering"]["exp_avg"])[None], state.whole["scattering"])
+            params["scattering"].detach().sub_(_EVERY * optimizers.rates(step - 1)["scattering"] * steps)
+        if levels.factor(step - 1) > 1:
             return
         means, moves = params["means"].detach(), torch.zeros_like(params["means"])
-        beta1, beta2 = BETA1**_EVERY, BETA2**_EVERY
         for pitch in _PITCHES:
             lattice = Lattice.around(frame.region, pitch * frame.cell_m, means)
             if len(state.whole[str(pitch)]) != lattice.count:
                 state.whole[str(pitch)] = means.new_zeros(lattice.count, 4)
-            before, square = state.whole[str(pitch)].split((3, 1), dim=1)
-            mean = lattice.sums(optimizers.state["means"]["exp_avg"])
-            gradient = (mean - beta1 * before) / (1 - beta1)  # mean of the gradients since, which the momentum contains
-            before.copy_(mean)
-            square.mul_(beta2).add_((gradient**2).sum(1, keepdim=True), alpha=1 - beta2)
-            moves -= lattice.interpolated(mean / (square.sqrt() + EPSILON))
+            steps = _steps(lattice.sums(optimizers.state["means"]["exp_avg"]), state.whole[str(pitch)])
+            moves -= lattice.interpolated(steps)
         means += _EVERY * self._rate * levels.left(step) * frame.cell_m * moves
         optimizers.constrain()
+
+
+def _steps(mean: Float[Tensor, "n k"], moments: Float[Tensor, "n _"]) -> Float[Tensor, "n k"]:
+    """Steps of Adam by means of gradients, which decay as those of single Gaussians do; to be subtracted.
+
+    `moments`, updated in place, are the mean of the last time and m mean squares: one for each column, or for all.
+    """
+    beta1, beta2 = BETA1**_EVERY, BETA2**_EVERY
+    before, square = moments.split((mean.shape[1], moments.shape[1] - mean.shape[1]), dim=1)
+    gradient = (mean - beta1 * before) / (1 - beta1)  # mean of the gradients since, which the momentum contains
+    squares = gradient**2 if square.shape == mean.shape else (gradient**2).sum(1, keepdim=True)
+    before.copy_(mean)
+    square.mul_(beta2).add_(squares, alpha=1 - beta2)
+    return mean / (square.sqrt() + EPSILON)
 
 
 @dataclass(frozen=True)

@@ -122,9 +122,11 @@ def towards_planes(
 ) -> tuple[
     Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"], Float64[np.ndarray, " n"], Float64[np.ndarray, "n k"]
 ]:
-    """Vector from each Gaussian to the plane of its neighbours (m), the plane's normal, its width, and mean values.
+    """Vector from each Gaussian to its neighbours' surface (m), normal and width of their plane, and mean values.
 
-    The width is from 0, for a mast or a rail, to 1, inside a surface; all are 0 in cubes that are hardly lit.
+    The width is from 0, for a mast or a rail, to 1, inside a surface; all are 0 in cubes that are hardly lit. From a
+    neighbour to the Gaussian the surface rises with the mean of both slopes, which is exact for spheres: with the
+    plane's slope alone, every round would move round surfaces inwards.
 
     Gaussians in a cube of `cell_m` move together, so that layers keep their thickness. Weights are lit areas, m², and
     fall with distance, with the angle between `normals`, whose signs do not matter, and with distance from the plane.
@@ -163,8 +165,11 @@ def towards_planes(
         weights = csr_matrix((np.ones(len(pairs)), (pairs["i"], pairs["j"])), (len(places), tree.n))
         i, j = np.repeat(np.arange(len(places)), np.diff(weights.indptr)), weights.indices  # pairs of neighbours
         distance = mean[j] - places[i]
-        similarity = np.einsum("pi,pi->p", plane[i], axis[j]) ** _NORMALS_POWER
-        nearness = lit_area[j] * similarity * np.exp(-2 / radius_m**2 * np.einsum("pi,pi->p", distance, distance))
+        cosine = np.einsum("pi,pi->p", plane[i], axis[j])
+        rise = np.einsum("pi,pi->p", distance, axis[j]) * np.sign(cosine)  # with the neighbour's slope
+        nearness = (
+            lit_area[j] * cosine**_NORMALS_POWER * np.exp(-2 / radius_m**2 * np.einsum("pi,pi->p", distance, distance))
+        )
         for _ in range(_FITS):
             offset = np.einsum("pi,pi->p", distance, plane[i]) - height[i]
             weights.data = nearness * (1 - (offset / cell_m) ** 2).clip(min=0) ** 2  # Tukey's
@@ -172,8 +177,9 @@ def towards_planes(
             centre = total[:, 1:4] / total[:, :1]
             spread = _symmetric(total[:, 4:10] / total[:, :1]) - centre[:, :, None] * centre[:, None, :]
             spreads, axes = np.linalg.eigh(spread)
-            plane = axes[:, :, 0]
-            height = ((centre - places) * plane).sum(1)
+            plane = axes[:, :, 0] * np.sign((axes[:, :, 0] * axis[batch]).sum(1, keepdims=True))
+            risen = np.bincount(i, weights.data * rise, len(places)) / total[:, 0]
+            height = (((centre - places) * plane).sum(1) + risen) / 2
         wide = np.interp(spreads[:, 1] / spreads[:, 2].clip(min=_MIN_WIDTH * cell_m**2), _WIDE, (0, 1))
         rows[lit_cubes[batch]] = np.column_stack([height[:, None] * plane, plane, wide, total[:, 10:] / total[:, :1]])
 
