@@ -217,7 +217,7 @@ class Config(AnyConfig):
     unit: Literal["image", "target"] = "image"
     scattering_penalty: NotNegative = 0.03
     common_law: bool = True
-    law_from: Share = 0.4
+    law_from: Share = 0.3
     law_penalty: NotNegative = 0.005
     initial_scale: Positive = 0.2
     initial_optical_depth: OpticalDepth = 0.5
