@@ -224,16 +224,9 @@ class Trainer:
 
     def _each_strategy(self, method: str, step: int, chosen: Sequence[int], rendering: Rendering) -> None:
         """Call a method of all strategies; when one moves rows, the states of the others follow."""
-        info = Info(
-            self.model,
-            self.images,
-            tuple(chosen),
-            of_rows(rendering, lambda rows: rows[:, : len(self.model)]),
-            self.model.degree(self.iteration),
-            self._rays,
-            self._bounds,
-            self._generator,
-        )
+        model, of_target = self.model, of_rows(rendering, lambda rows: rows[:, : len(self.model)])
+        how = model.degree(self.iteration), self._rays, self._bounds, self._generator
+        info = Info(model, self.images, tuple(chosen), of_target, *how)
         for strategy, state in zip(self.strategies, self._states, strict=True):
             getattr(strategy, method)(self.model.parameters, self.optimiser, state, step, info)
             if (moves := self.optimiser.take_moves()) is not None:
@@ -300,16 +293,11 @@ class Trainer:
             # records the strategy, even without state
             tensors[f"strategy/{strategy.name}"] = torch.empty(0, dtype=torch.float32, device="cpu")
             tensors |= {f"strategy/{strategy.name}/{name}": tensor for name, tensor in state.tensors().items()}
+        tensors = {name: tensor.cpu().clone() for name, tensor in tensors.items()}
+        queue, unit, brightest = tuple(self._queue.waiting), self.model.unit, self.images.brightest
+        stacks = self.model.frame.stacks
         return Snapshot(
-            self.iteration,
-            seconds,
-            tuple(self._queue.waiting),
-            self.grid,
-            self.views,
-            self.model.unit,
-            self.images.brightest,
-            stacks=self.model.frame.stacks,
-            tensors={name: tensor.cpu().clone() for name, tensor in tensors.items()},
+            self.iteration, seconds, queue, self.grid, self.views, unit, brightest, stacks=stacks, tensors=tensors
         )
 
     @checks_arguments

@@ -45,10 +45,9 @@ class CollectiveMoves(Configured):
         return cls(smoothing.collective) if wanted else None
 
     def initial_state(self, params: dict[str, Tensor]) -> State:
-        means, columns = params["means"].detach(), params["scattering"].shape[1]
-        moments = {str(pitch): means.new_zeros(0, 4) for pitch in _PITCHES} | {
-            "scattering": means.new_zeros(1, 2 * columns)
-        }
+        means, scattering = params["means"].detach(), params["scattering"].detach()
+        moments = {str(pitch): means.new_zeros(0, 4) for pitch in _PITCHES}
+        moments["scattering"] = scattering.new_zeros(1, 2 * scattering.shape[1])
         return State(whole=moments, added=("scattering",))
 
     @torch.no_grad()

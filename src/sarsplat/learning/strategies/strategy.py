@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 import torch
@@ -139,21 +139,10 @@ class Info:
         return in_groups(count, model.config.views_per_step, model.parameters, self.images.grid, self.rays)
 
     def _rendered(
-        self,
-        views: Sequence[View],
-        numbers: Int64[Tensor, " v"] | None,
-        amplitudes: Float[Tensor, "v n c"] | None = None,
+        self, views: Sequence[View], numbers: Int64[Tensor, " v"] | None, amplitudes: Tensor | None = None
     ) -> tuple[Tensor, Rendering]:
-        return self.model.render(
-            views,
-            self.images.grid,
-            self.degree,
-            rays=self.rays,
-            numbers=numbers,
-            bounds=self.bounds,
-            amplitudes=amplitudes,
-            estimated=False,
-        )
+        how: dict[str, Any] = {"numbers": numbers, "bounds": self.bounds, "amplitudes": amplitudes, "estimated": False}
+        return self.model.render(views, self.images.grid, self.degree, rays=self.rays, **how)
 
 
 def of_rows(rendering: Rendering, pick: Callable[[Tensor], Tensor]) -> Rendering:
