@@ -124,7 +124,7 @@ class Config(AnyConfig):
         Share the common parameters of the scattering law between all Gaussians: of "normal-lobes" the exponent, which
         starts as 2.
     law_from : float
-        Share of the iterations from which on the common parameters are learned; before, surfaces have no shape.
+        Share of the iterations from which on common parameters and bounce are learned; before, surfaces have no shape.
     law_penalty : float
         Weight of the squared distance of the common parameters (of an exponent, its logarithm) from their start, in the
         units of `scattering_penalty`.

@@ -120,7 +120,7 @@ class Relocation(Record):
 
 @dataclass(frozen=True)
 class Smoothing(Record):
-    """Moves and rotations of visible Gaussians towards the plane of their neighbours.
+    """Moves and rotations of visible Gaussians towards the surface of their neighbours.
 
     Only for trainings that begin with blocks of pixels: images hardly tell the height inside of large surfaces.
 
@@ -139,7 +139,7 @@ class Smoothing(Record):
         coarser than those given.
     collective : float
         Initial rate of collective moves of neighbours at full resolution, resolution cells per step, on each of two
-        lattices; it falls to zero. 0: none.
+        lattices; it falls to zero. 0: none, and no change of all scattering together (from `law_from` on) either.
     """
 
     _section: ClassVar[str] = "smoothing."

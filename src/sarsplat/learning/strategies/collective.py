@@ -29,7 +29,7 @@ class CollectiveMoves(Configured):
 
     Coarser images do not resolve what a node moves, such as a house. Steps shrink to zero, so that edges, which are
     carried along, return to their places. Mean squares begin at 0: the first moves, of the largest bulges, are longer.
-    Scattering takes the same kind of steps at its own rate from `Config.law_from` on, at all levels.
+    From `Config.law_from` on, at all levels, all scattering takes Adam's step by the mean of its gradients.
     """
 
     order = 8
@@ -40,9 +40,8 @@ class CollectiveMoves(Configured):
 
     @classmethod
     def of(cls, config: Config, train: Dataset) -> Self | None:
-        smoothing = config.smoothing
-        wanted = smoothing.rounds > 0 and smoothing.collective > 0 and config.coarsest > 1
-        return cls(smoothing.collective) if wanted else None
+        rate = config.smoothing.collective if config.smoothing.rounds > 0 and config.coarsest > 1 else 0.0
+        return cls(rate) if rate else None
 
     def initial_state(self, params: dict[str, Tensor]) -> State:
         means, scattering = params["means"].detach(), params["scattering"].detach()
@@ -59,7 +58,9 @@ class CollectiveMoves(Configured):
             return
         if step >= info.model.config.law_from * levels.iterations:
             steps = _steps(column_means(optimizers.state["scattering"]["exp_avg"])[None], state.whole["scattering"])
-            params["scattering"].detach().sub_(_EVERY * optimizers.rates(step - 1)["scattering"] * steps)
+            how = info.model.learned["scattering"]
+            rates = steps.new_tensor(how.rates) * how.decay((step - 1) / levels.iterations)
+            params["scattering"].detach().sub_(_EVERY * rates * steps)
         if levels.factor(step - 1) > 1:
             return
         means, moves = params["means"].detach(), torch.zeros_like(params["means"])
@@ -76,7 +77,7 @@ class CollectiveMoves(Configured):
 def _steps(mean: Float[Tensor, "n k"], moments: Float[Tensor, "n _"]) -> Float[Tensor, "n k"]:
     """Steps of Adam by means of gradients, which decay as those of single Gaussians do; to be subtracted.
 
-    `moments`, updated in place, are the mean of the last time and m mean squares: one for each column, or for all.
+    `moments`, updated in place, are the last `mean`, and then mean squares: one for each column, or one for all.
     """
     beta1, beta2 = BETA1**_EVERY, BETA2**_EVERY
     before, square = moments.split((mean.shape[1], moments.shape[1] - mean.shape[1]), dim=1)

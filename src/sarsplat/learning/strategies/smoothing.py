@@ -1,4 +1,4 @@
-"""Smoothing: visible Gaussians are moved towards the plane of their neighbours, and scatter like them.
+"""Smoothing: visible Gaussians are moved towards the surface of their neighbours, and scatter like them.
 
 Inside a uniform surface gradients are noise, and Adam, whose steps do not depend on their size, lets Gaussians drift
 along the normal. Smoothing undoes this; at edges, where images determine positions, the next steps restore them.
@@ -40,7 +40,7 @@ _FITS = 2  # number of fits of each plane; outliers of one weigh less in the nex
 
 
 class Smoothed(Configured):
-    """Moves and turns visible Gaussians towards the plane of their neighbours, at intervals."""
+    """Moves and turns visible Gaussians towards the surface of their neighbours, at intervals."""
 
     order = 25
     name = "smoothing"
@@ -50,8 +50,7 @@ class Smoothed(Configured):
 
     @classmethod
     def of(cls, config: Config, train: Dataset) -> Self | None:
-        acts = config.smoothing.rounds > 0 and config.coarsest > 1
-        return cls(config.smoothing, config.iterations) if acts else None
+        return cls(config.smoothing, config.iterations) if config.smoothing.rounds and config.coarsest > 1 else None
 
     def due(self, step: int) -> bool:
         return step > 0 and at_round(step, 0, self._iterations, self._config.rounds)
@@ -124,9 +123,9 @@ def towards_planes(
 ]:
     """Vector from each Gaussian to its neighbours' surface (m), normal and width of their plane, and mean values.
 
-    The width is from 0, for a mast or a rail, to 1, inside a surface; all are 0 in cubes that are hardly lit. From a
-    neighbour to the Gaussian the surface rises with the mean of both slopes, which is exact for spheres: with the
-    plane's slope alone, every round would move round surfaces inwards.
+    The width is from 0, for a mast or a rail, to 1, inside a surface; all are 0 in cubes that are hardly lit. The
+    surface's height is the mean of those by the fitted plane, inside a round surface, and by the neighbours' own
+    planes, as far outside: exact for spheres with neighbours on all sides.
 
     Gaussians in a cube of `cell_m` move together, so that layers keep their thickness. Weights are lit areas, m², and
     fall with distance, with the angle between `normals`, whose signs do not matter, and with distance from the plane.
@@ -166,7 +165,7 @@ def towards_planes(
         i, j = np.repeat(np.arange(len(places)), np.diff(weights.indptr)), weights.indices  # pairs of neighbours
         distance = mean[j] - places[i]
         cosine = np.einsum("pi,pi->p", plane[i], axis[j])
-        rise = np.einsum("pi,pi->p", distance, axis[j]) * np.sign(cosine)  # with the neighbour's slope
+        own_height = np.einsum("pi,pi->p", distance, axis[j]) * np.sign(cosine)  # of each neighbour's own plane
         nearness = (
             lit_area[j] * cosine**_NORMALS_POWER * np.exp(-2 / radius_m**2 * np.einsum("pi,pi->p", distance, distance))
         )
@@ -178,8 +177,8 @@ def towards_planes(
             spread = _symmetric(total[:, 4:10] / total[:, :1]) - centre[:, :, None] * centre[:, None, :]
             spreads, axes = np.linalg.eigh(spread)
             plane = axes[:, :, 0] * np.sign((axes[:, :, 0] * axis[batch]).sum(1, keepdims=True))
-            risen = np.bincount(i, weights.data * rise, len(places)) / total[:, 0]
-            height = (((centre - places) * plane).sum(1) + risen) / 2
+            own_mean = np.bincount(i, weights.data * own_height, len(places)) / total[:, 0]
+            height = (((centre - places) * plane).sum(1) + own_mean).clip(-cell_m, cell_m) / 2  # its own cube counts
         wide = np.interp(spreads[:, 1] / spreads[:, 2].clip(min=_MIN_WIDTH * cell_m**2), _WIDE, (0, 1))
         rows[lit_cubes[batch]] = np.column_stack([height[:, None] * plane, plane, wide, total[:, 10:] / total[:, :1]])
 
