@@ -224,9 +224,9 @@ class Trainer:
 
     def _each_strategy(self, method: str, step: int, chosen: Sequence[int], rendering: Rendering) -> None:
         """Call a method of all strategies; when one moves rows, the states of the others follow."""
-        model, of_target = self.model, of_rows(rendering, lambda rows: rows[:, : len(self.model)])
-        how = model.degree(self.iteration), self._rays, self._bounds, self._generator
-        info = Info(model, self.images, tuple(chosen), of_target, *how)
+        degree, rays = self.model.degree(self.iteration), self._rays
+        of_target = of_rows(rendering, lambda rows: rows[:, : len(self.model)])
+        info = Info(self.model, self.images, tuple(chosen), of_target, degree, rays, self._bounds, self._generator)
         for strategy, state in zip(self.strategies, self._states, strict=True):
             getattr(strategy, method)(self.model.parameters, self.optimiser, state, step, info)
             if (moves := self.optimiser.take_moves()) is not None:

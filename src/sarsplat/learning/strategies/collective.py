@@ -24,7 +24,7 @@ _PITCHES = (4, 8)  # spacings of the nodes of the lattices, in resolution cells
 _EVERY = 4  # steps between two moves, each as long as those steps together
 
 
-class CollectiveMoves(Configured):
+class CollectiveSteps(Configured):
     """Adam's steps on the nodes of two lattices, at full resolution; Gaussians follow by trilinear interpolation.
 
     Coarser images do not resolve what a node moves, such as a house. Steps shrink to zero, so that edges, which are

@@ -166,9 +166,8 @@ def towards_planes(
         distance = mean[j] - places[i]
         cosine = np.einsum("pi,pi->p", plane[i], axis[j])
         own_height = np.einsum("pi,pi->p", distance, axis[j]) * np.sign(cosine)  # of each neighbour's own plane
-        nearness = (
-            lit_area[j] * cosine**_NORMALS_POWER * np.exp(-2 / radius_m**2 * np.einsum("pi,pi->p", distance, distance))
-        )
+        squared = np.einsum("pi,pi->p", distance, distance)
+        nearness = lit_area[j] * cosine**_NORMALS_POWER * np.exp(-2 / radius_m**2 * squared)
         for _ in range(_FITS):
             offset = np.einsum("pi,pi->p", distance, plane[i]) - height[i]
             weights.data = nearness * (1 - (offset / cell_m) ** 2).clip(min=0) ** 2  # Tukey's
@@ -178,7 +177,8 @@ def towards_planes(
             spreads, axes = np.linalg.eigh(spread)
             plane = axes[:, :, 0] * np.sign((axes[:, :, 0] * axis[batch]).sum(1, keepdims=True))
             own_mean = np.bincount(i, weights.data * own_height, len(places)) / total[:, 0]
-            height = (((centre - places) * plane).sum(1) + own_mean).clip(-cell_m, cell_m) / 2  # its own cube counts
+            height = (((centre - places) * plane).sum(1) + own_mean) / 2
+            height = height.clip(-cell_m / 2, cell_m / 2)  # so that the cube itself counts in the next fit
         wide = np.interp(spreads[:, 1] / spreads[:, 2].clip(min=_MIN_WIDTH * cell_m**2), _WIDE, (0, 1))
         rows[lit_cubes[batch]] = np.column_stack([height[:, None] * plane, plane, wide, total[:, 10:] / total[:, :1]])
 

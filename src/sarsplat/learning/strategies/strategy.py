@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 import torch
@@ -89,10 +89,8 @@ class Info:
         for batch in self._batches(len(views)):
             numbers = self.images.numbers[torch.from_numpy(chosen[batch]).to(self.model.device)]
             images, _ = self._rendered(views[batch], numbers)
-            yield (
-                self.images.truth[numbers] / self.model.unit,
-                channel_of(images, self.model.power_channel) / self.model.unit,
-            )
+            power = channel_of(images, self.model.power_channel)
+            yield self.images.truth[numbers] / self.model.unit, power / self.model.unit
 
     @torch.no_grad()
     def cross_sections(self) -> Float[Tensor, " n"]:
@@ -141,8 +139,10 @@ class Info:
     def _rendered(
         self, views: Sequence[View], numbers: Int64[Tensor, " v"] | None, amplitudes: Tensor | None = None
     ) -> tuple[Tensor, Rendering]:
-        how: dict[str, Any] = {"numbers": numbers, "bounds": self.bounds, "amplitudes": amplitudes, "estimated": False}
-        return self.model.render(views, self.images.grid, self.degree, rays=self.rays, **how)
+        grid, degree, rays = self.images.grid, self.degree, self.rays
+        return self.model.render(
+            views, grid, degree, rays=rays, numbers=numbers, bounds=self.bounds, amplitudes=amplitudes, estimated=False
+        )
 
 
 def of_rows(rendering: Rendering, pick: Callable[[Tensor], Tensor]) -> Rendering:
