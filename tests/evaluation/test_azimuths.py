@@ -48,6 +48,11 @@ def test_errors_are_those_of_the_predictions(tested: Dataset) -> None:
     assert scores["azimuth_error_deg"] == pytest.approx(20, abs=2)
 
 
+def test_a_glint_that_no_prediction_has_hardly_turns_images(tested: Dataset) -> None:
+    tested.power[:, 24, 36] = 300
+    assert np.median(np.abs(azimuths.azimuth_errors(RUN, tested, [predicted(0.0)]))) < 1.6  # exponential: 2.5
+
+
 def test_where_none_can_be_found(tested: Dataset) -> None:
     with pytest.raises(UndefinedScore, match="at least 4 images; these are 3"):
         azimuths.azimuth_errors(RUN, tested.take([0, 1, 2]), [predicted(0.0)])

@@ -16,7 +16,7 @@ from sarsplat.evaluation.templates import extents_m, floored, predicted, require
 from sarsplat.geometry import View
 from sarsplat.runs import Run
 
-STEP_DEG = 3.0
+STEP_DEG = 2.0
 """Step between the azimuths of predictions, degrees."""
 
 CLOSE_DEG, REVERSED_DEG = 5.0, 135.0

@@ -210,13 +210,7 @@ def register(truth: Stack, rendered: Stack, margin: int = 0) -> Registration:
 
 
 def registered_log_correlation(truth: Stack, rendered: Stack, margin: int = 0) -> float:
-    """`log_correlation` with each prediction shifted to its best fit; it does not depend on the gain.
-
-    Raises
-    ------
-    UndefinedScore
-        If a 3×3 mean is zero where it may be moved to, or nothing is left inside the margin.
-    """
+    """`log_correlation`, as which it raises, with each prediction shifted to its best fit, of any gain."""
     _check_stacks(truth, rendered)
     measured, predicted = _inside(smoothed(truth), margin), _reachable(smoothed(rendered), margin)
     _check_positive(measured, "true")
@@ -321,19 +315,11 @@ class MaskPair:
 def predicted_masks(run: Run, images: Dataset, rendered: Stack) -> Masks:
     """Masks of a run for the images of one set, moved as `register` moves the rendered images if they are speckled.
 
-    The position of a chip in its frame is thus estimated from its likelihood, never from true masks.
-
-    Raises
-    ------
-    UndefinedScore
-        As in `register`.
+    The position of a chip in its frame is thus estimated from its likelihood, never from true masks. Clutter moves in
+    at the edges. Raises as in `register`.
     """
     masks = run.masks(images.views)
     if images.looks is None:
         return masks
-    return _displaced(masks, register(images.power, rendered, images.score_margin).shift)
-
-
-def _displaced(masks: Masks, shifts: Int64[np.ndarray, "v 2"]) -> Masks:
-    """Shift each mask by whole pixels (range, azimuth), with clutter at the edges."""
+    shifts = register(images.power, rendered, images.score_margin).shift
     return np.stack([displaced(mask, moved, order=0) for mask, moved in zip(masks, shifts, strict=True)])

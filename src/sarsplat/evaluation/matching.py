@@ -1,8 +1,10 @@
 """Match of an image with templates: coarse correlation over displacements, then the likelihood of speckle.
 
 The score is the negative log-likelihood of exponential power I with mean gS for its best gain g = mean(I / S):
-log g + mean(log S) + 1, nats per pixel. The window is fixed in the image, and the template S is displaced. An image's
-result depends neither on other images nor on the number of threads: products of matrices have a fixed shape.
+log g + mean(log S) + 1, nats per pixel. Azimuths are chosen by that of a Lomax distribution, in which S is known up to
+a factor, log g + mean(log S + (a + 1) log(1 + I / agS)): few bright pixels decide less. The window is fixed in the
+image, and the template S is displaced. An image's result depends neither on other images nor on the number of threads:
+products of matrices have a fixed shape.
 """
 
 from __future__ import annotations
@@ -30,6 +32,12 @@ _SECTOR_DEG = 45.0
 _FINE = np.array([(down, right) for down in (0, -1, 1) for right in (0, -1, 1)])
 """Displacements of the fine search, pixels."""
 
+_SHAPES = (4.0, 8.0, 16.0, np.inf)
+"""Shapes a of the Lomax distribution, of which the likeliest is taken for an image; infinity: exponential."""
+
+_ROUNDS = 4
+"""Number of steps of expectation maximisation to the best gain of a Lomax distribution."""
+
 _LEAST_CURVATURE = 1e-12
 """Minimum second difference, nats per pixel and square step."""
 
@@ -40,12 +48,12 @@ class Match:
 
     nats: Float64[np.ndarray, " q"]
     """Negative log-likelihood, nats per pixel, of the image divided by its mean in the window."""
-    reversed_nats: Float64[np.ndarray, " q"]
-    """Nats of the best azimuth within 45° of the opposite one."""
     azimuth_deg: Float64[np.ndarray, " q"]
     """Azimuth, degrees, in [0, 360)."""
+    reversal: Float64[np.ndarray, " q"]
+    """Nats per pixel by which azimuths within 45° of the opposite one are less likely, of the Lomax distribution."""
     curvature: Float64[np.ndarray, " q"]
-    """Second derivative of the nats per pixel with respect to azimuth, degrees⁻²."""
+    """Second derivative of these nats with respect to azimuth, degrees⁻²."""
     shift: Int64[np.ndarray, "q 2"]
     """Displacement of the target, pixels in range and azimuth."""
     gain: Float64[np.ndarray, " q"]
@@ -79,33 +87,45 @@ class Matcher:
         image = np.maximum(power / level, from_db(-DYNAMIC_RANGE_DB)).astype(np.float32)
         fits, shifts = self._correlations(image)
         image = image[down:-down, across:-across]
-        best = self._best(image, fits, shifts, *_CANDIDATES)
-        turns = np.abs((np.arange(self._azimuths) - best[1][:, None]) * 360 / self._azimuths % 360 - 180)
+        nats, azimuth, shift = self._best(image, fits, shifts, *_CANDIDATES)
+        at = np.unravel_index([nats.argmin()], nats.shape)
+        shape = min(_SHAPES, key=lambda a: self._nats(image, at[0], azimuth[at], shift[at], a)[0].item())
+        first = np.take_along_axis(azimuth, nats.argmin(axis=1)[:, None], axis=1)
+        turns = np.abs((np.arange(self._azimuths) - first) * 360 / self._azimuths % 360 - 180)
         opposite = np.where(turns <= _SECTOR_DEG, fits, -np.inf)
         others = self._best(
             image, opposite, shifts, min(_REVERSED[0], int((turns[0] <= _SECTOR_DEG).sum())), _REVERSED[1]
         )
-        found, other = self._between_azimuths(image, *best), self._between_azimuths(image, *others)
+        found = self._between_azimuths(image, shifts, azimuth, shift, shape)
+        other = self._between_azimuths(image, shifts, *others[1:], shape)
         better = other[0] < found[0]  # then what correlates best is the reversed one
-        nats, azimuth_deg, curvature, gain = (np.where(better, b, a) for a, b in zip(found, other, strict=True))
-        reversed_nats, shift = np.where(better, found[0], other[0]), np.where(better[:, None], others[2], best[2])
-        return Match(nats, reversed_nats, azimuth_deg, curvature, shift, gain * level)
+        chosen = (np.where(better.reshape(-1, *[1] * (b.ndim - 1)), a, b) for a, b in zip(other, found, strict=True))
+        _, nats, azimuth_deg, curvature, gain, shift = chosen
+        return Match(nats, azimuth_deg, np.abs(found[0] - other[0]), curvature, shift, gain * level)
 
     def _between_azimuths(
         self,
         image: Float32[np.ndarray, "r c"],
-        nats: Float64[np.ndarray, " q"],
-        azimuth: Int64[np.ndarray, " q"],
-        shift: Int64[np.ndarray, "q 2"],
-    ) -> tuple[Float64[np.ndarray, " q"], ...]:
-        """Return nats, azimuth (degrees), curvature (per square degree) and gain at the vertex of a parabola."""
-        every = np.arange(self._runs)
-        before, after = (self._nats(image, every, (azimuth + k) % self._azimuths, shift)[0] for k in (-1, 1))
-        step_deg, bend = 360 / self._azimuths, np.maximum(before + after - 2 * nats, _LEAST_CURVATURE)
-        offset = np.clip((before - after) / (2 * bend), -0.5, 0.5)
-        gain = self._nats(image, every, azimuth, shift)[1]
-        nats = nats + offset * ((after - before) / 2 + offset * bend / 2)
-        return nats, (azimuth + offset) * step_deg % 360, bend / step_deg**2, gain
+        shifts: Int64[np.ndarray, "q a 2"],
+        azimuth: Int64[np.ndarray, "q k"],
+        shift: Int64[np.ndarray, "q k 2"],
+        shape: float,
+    ) -> tuple[np.ndarray, ...]:
+        """Return nats of both distributions, azimuth, curvature, gain and displacement, of the likeliest azimuth.
+
+        A parabola through its neighbours has them at its vertex, all but the last two.
+        """
+        run = np.arange(self._runs)[:, None]
+        best = self._nats(image, run, azimuth, shift, shape)[0].argmin(axis=1)[:, None]
+        three = (np.take_along_axis(azimuth, best, axis=1) + np.array([-1, 0, 1])) % self._azimuths
+        _, moved = self._displaced(image, run, three, shifts)
+        (nats, _), (exponential, gain) = (self._nats(image, run, three, moved, a) for a in (shape, np.inf))
+        step_deg, bend = 360 / self._azimuths, np.maximum(nats[:, 0] + nats[:, 2] - 2 * nats[:, 1], _LEAST_CURVATURE)
+        offset = np.clip((nats[:, 0] - nats[:, 2]) / (2 * bend), -0.5, 0.5)
+        weights = np.stack([offset**2 - offset, 2 - 2 * offset**2, offset**2 + offset], axis=1) / 2
+        azimuth_deg, curvature = (three[:, 1] + offset) * step_deg % 360, bend / step_deg**2
+        both = ((weights * values).sum(axis=1) for values in (nats, exponential))
+        return *both, azimuth_deg, curvature, gain[:, 1], moved[:, 1]
 
     def _correlations(
         self, image: Float32[np.ndarray, "m n"]
@@ -126,17 +146,28 @@ class Matcher:
         shifts: Int64[np.ndarray, "q a 2"],
         candidates: int,
         refined: int,
-    ) -> tuple[Float64[np.ndarray, " q"], Int64[np.ndarray, " q"], Int64[np.ndarray, "q 2"]]:
-        """Return nats, index of the azimuth and displacement of the most likely of the azimuths that correlate best."""
+    ) -> tuple[Float64[np.ndarray, "q k"], Int64[np.ndarray, "q k"], Int64[np.ndarray, "q k 2"]]:
+        """Return nats, indices and displacements of the most likely of the azimuths that correlate best."""
         run = np.arange(self._runs)[:, None]
         azimuth = np.argsort(-fits, axis=1, kind="stable")[:, :candidates]
         nats, _ = self._nats(image, run, azimuth, shifts[run, azimuth])
         azimuth = np.take_along_axis(azimuth, np.argsort(nats, axis=1, kind="stable")[:, :refined], axis=1)
+        nats, moved = self._displaced(image, run, azimuth, shifts)
+        return nats, azimuth, moved
+
+    def _displaced(
+        self,
+        image: Float32[np.ndarray, "r c"],
+        run: Int64[np.ndarray, "q 1"],
+        azimuth: Int64[np.ndarray, "q k"],
+        shifts: Int64[np.ndarray, "q a 2"],
+    ) -> tuple[Float64[np.ndarray, "q k"], Int64[np.ndarray, "q k 2"]]:
+        """Return nats and displacements of the most likely displacements near those that correlate best."""
         moved = shifts[run, azimuth][:, :, None] + _FINE
         nats, _ = self._nats(image, run[..., None], azimuth[..., None], moved)
-        best = nats.reshape(self._runs, -1).argmin(axis=1)
-        every, (place, fine) = run[:, 0], np.divmod(best, len(_FINE))
-        return nats[every, place, fine], azimuth[every, place], moved[every, place, fine]
+        best = nats.argmin(axis=-1)[..., None]
+        moved = np.take_along_axis(moved, best[..., None], axis=2)[:, :, 0]
+        return np.take_along_axis(nats, best, axis=-1)[..., 0], moved
 
     def _nats(
         self,
@@ -144,12 +175,19 @@ class Matcher:
         run: Int64[np.ndarray, "*#k"],
         azimuth: Int64[np.ndarray, "*#k"],
         shift: Int64[np.ndarray, "*#k 2"],
+        shape: float = np.inf,
     ) -> tuple[Float64[np.ndarray, "*#k"], Float64[np.ndarray, "*#k"]]:
         """Return nats per pixel and gain of templates that are displaced."""
         first = np.array(self._window.margins) - shift
         at = (run, azimuth, first[..., 0], first[..., 1])
-        gain = (self._inverse[at] * image).mean(axis=(-2, -1)).astype(np.float64)
-        return np.log(gain) + self._mean_log[at] + 1, gain
+        relative = self._inverse[at] * image
+        gain, tails = relative.mean(axis=(-2, -1), keepdims=True), np.float64(1)
+        if shape < np.inf:
+            for _ in range(_ROUNDS):
+                gain = (relative / (shape + relative / gain)).mean(axis=(-2, -1), keepdims=True) * (shape + 1)
+            tails = (shape + 1) * np.log1p(relative / (shape * gain)).mean(axis=(-2, -1))
+        gain = gain[..., 0, 0].astype(np.float64)
+        return np.log(gain) + self._mean_log[at] + tails, gain
 
 
 def _smooth_logs(power: Float[Tensor, "v m n"]) -> Float[Tensor, "v m n"]:

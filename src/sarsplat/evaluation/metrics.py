@@ -152,39 +152,34 @@ _speckled_only = partial(Metric[ImagePair], requires=SPECKLED)
 
 IMAGE_METRICS: tuple[Metric[ImagePair], ...] = (
     _noise_free(
-        "psnr_db",
-        *("PSNR, whole image", "dB", ".2f", "more"),
+        *("psnr_db", "PSNR, whole image", "dB", ".2f", "more"),
         "peak signal-to-noise ratio of the amplitude √β⁰ / reference_amplitude, not clipped, peak 1; mean over images",
         lambda pair: images.psnr_db(pair.truth, pair.rendered, pair.reference_amplitude),
         short="PSNR",
         place="headline",
     ),
     _noise_free(
-        "psnr_target_db",
-        *("PSNR on the target", "dB", ".2f", "more"),
+        *("psnr_target_db", "PSNR on the target", "dB", ".2f", "more"),
         f"the same over pixels whose true β⁰ is less than {images.TARGET_DYNAMIC_DB:g} dB below the test set's maximum",
         lambda pair: images.psnr_target_db(pair.truth, pair.rendered, pair.reference_amplitude),
         short="target",
         place="headline",
     ),
     _noise_free(
-        "ssim",
-        *("SSIM", "", ".4f", "more"),
+        *("ssim", "SSIM", "", ".4f", "more"),
         "structural similarity of the same amplitudes: 11×11 Gaussian window of standard deviation 1.5, data range 1; "
         "mean over images",
         lambda pair: images.ssim(pair.truth, pair.rendered, pair.reference_amplitude),
         short="SSIM",
     ),
     _noise_free(
-        "lpips",
-        *("LPIPS", "", ".4f", "less"),
+        *("lpips", "LPIPS", "", ".4f", "less"),
         "LPIPS-AlexNet v0.1 of 2·amplitude − 1, grey repeated three times; mean over images",
         _lpips,
         short="LPIPS",
     ),
     _speckled_only(
-        "registered_nats_per_pixel",
-        *("negative log-likelihood, registered", "nats/pixel", ".3f", "less"),
+        *("registered_nats_per_pixel", "negative log-likelihood, registered", "nats/pixel", ".3f", "less"),
         f"nats_per_pixel of each image shifted by up to {REACH} pixels, to fit its truth best, and multiplied by "
         "mean(I/S); mean over images",
         _registered_nats,
@@ -192,23 +187,20 @@ IMAGE_METRICS: tuple[Metric[ImagePair], ...] = (
         place="headline",
     ),
     _speckled_only(
-        "registered_log_correlation",
-        *("correlation of log power, registered", "", ".3f", "more"),
+        *("registered_log_correlation", "correlation of log power, registered", "", ".3f", "more"),
         f"log_correlation of each image shifted by up to {REACH} pixels to fit its truth best; mean over images",
         lambda pair: images.registered_log_correlation(pair.truth, pair.rendered, pair.score_margin),
         short="corr. reg.",
         place="headline",
     ),
     _speckled_only(
-        "nats_per_pixel",
-        *("negative log-likelihood", "nats/pixel", ".3f", "less"),
+        *("nats_per_pixel", "negative log-likelihood", "nats/pixel", ".3f", "less"),
         "negative log-likelihood of single-look speckle: mean of log S + I/S, I and S in units of mean_power, "
         "excluding score_margin pixels on each side",
         _nats_per_pixel,
     ),
     _speckled_only(
-        "log_correlation",
-        *("correlation of log power", "", ".3f", "more"),
+        *("log_correlation", "correlation of log power", "", ".3f", "more"),
         "correlation of the logarithms of 3×3 means, excluding score_margin pixels on each side; mean over images",
         lambda pair: images.log_correlation(pair.truth, pair.rendered, pair.score_margin),
     ),
@@ -223,8 +215,7 @@ def leading_metric(dataset: Dataset) -> Metric[ImagePair]:
 
 MASK_METRICS: tuple[Metric[MaskPair], ...] = (
     Metric(
-        "target_iou",
-        *("IoU of the target's mask", "", ".3f", "more"),
+        *("target_iou", "IoU of the target's mask", "", ".3f", "more"),
         "intersection over union of the target's pixels in the predicted and the true mask; for speckled images after "
         "the shift of registered_nats_per_pixel; mean over images",
         lambda masks: masks.iou(TARGET),
@@ -232,8 +223,7 @@ MASK_METRICS: tuple[Metric[MaskPair], ...] = (
         place="headline",
     ),
     Metric(
-        "shadow_iou",
-        *("IoU of the shadow's mask", "", ".3f", "more"),
+        *("shadow_iou", "IoU of the shadow's mask", "", ".3f", "more"),
         "the same for the pixels in shadow",
         lambda masks: masks.iou(SHADOW),
         requires=GROUND,
@@ -252,22 +242,19 @@ _of_azimuths = partial(Metric[np.ndarray], requires=LOCATABLE)
 
 AZIMUTH_METRICS: tuple[Metric[np.ndarray], ...] = (
     _of_azimuths(
-        "azimuth_error_deg",
-        *("azimuth error, median", "°", ".2f", "less"),
+        *("azimuth_error_deg", "azimuth error, median", "°", ".2f", "less"),
         f"median absolute error of the azimuths at which images are most likely, among predictions every {STEP_DEG:g}° "
         "around, displaced by up to 3 resolution cells, of any gain",
         lambda errors: float(np.median(np.abs(errors))),
         short="azimuth",
     ),
     _of_azimuths(
-        f"azimuth_within@{CLOSE_DEG:g}",
-        *(f"azimuth within {CLOSE_DEG:g}°", "", ".3f", "more"),
+        *(f"azimuth_within@{CLOSE_DEG:g}", f"azimuth within {CLOSE_DEG:g}°", "", ".3f", "more"),
         f"share of the images for which that error is at most {CLOSE_DEG:g}°",
         lambda errors: float(np.mean(np.abs(errors) <= CLOSE_DEG)),
     ),
     _of_azimuths(
-        "azimuth_reversed",
-        *("azimuth reversed", "", ".3f", "less"),
+        *("azimuth_reversed", "azimuth reversed", "", ".3f", "less"),
         f"share of the images for which that error is more than {REVERSED_DEG:g}°",
         lambda errors: float(np.mean(np.abs(errors) > REVERSED_DEG)),
     ),
@@ -292,50 +279,43 @@ def metrics_of_points(yardstick: Yardstick) -> tuple[Metric[PointMetrics], ...]:
     (cell, middle, _), voxel = yardstick.thresholds_m, f"{yardstick.voxel_m:.3g} m"
     return (
         _of_points(
-            "cd_m",
-            *("Chamfer distance", "m", "#.3g", "less"),
+            *("cd_m", "Chamfer distance", "m", "#.3g", "less"),
             "mean of accuracy and completeness",
             lambda points: points.cd_m,
             short="CD",
             place="headline",
         ),
         _of_points(
-            "cd_squared_m2",
-            *("Chamfer distance, squared", "m²", "#.3g", "less"),
+            *("cd_squared_m2", "Chamfer distance, squared", "m²", "#.3g", "less"),
             "the same for squared distances",
             lambda points: points.cd_squared_m2,
             place="file",
         ),
         _of_points(
-            "accuracy_m",
-            *("accuracy (points → truth)", "m", "#.3g", "less"),
+            *("accuracy_m", "accuracy (points → truth)", "m", "#.3g", "less"),
             f"mean distance from the reconstructed points, one per {voxel} voxel, to the true triangles",
             lambda points: points.accuracy_m,
         ),
         _of_points(
-            "completeness_m",
-            *("completeness (truth → points)", "m", "#.3g", "less"),
+            *("completeness_m", "completeness (truth → points)", "m", "#.3g", "less"),
             "mean distance from a million samples of the true surface to the nearest reconstructed point",
             lambda points: points.completeness_m,
         ),
         _of_points(
-            f"precision@{cell:g}",
-            *(f"precision at {cell:g} m", "", ".3f", "more"),
+            *(f"precision@{cell:g}", f"precision at {cell:g} m", "", ".3f", "more"),
             f"share of the reconstructed points within {cell:g} m of the true surface",
             lambda points: points.precision[cell],
             place="file",
         ),
         _of_points(
-            f"recall@{cell:g}",
-            *(f"recall at {cell:g} m", "", ".3f", "more"),
+            *(f"recall@{cell:g}", f"recall at {cell:g} m", "", ".3f", "more"),
             f"share of the true surface's samples within {cell:g} m of a reconstructed point",
             lambda points: points.recall[cell],
             place="file",
         ),
         *(
             _of_points(
-                f"f1@{threshold:g}",
-                *(f"F1 at {threshold:g} m", "", ".3f", "more"),
+                *(f"f1@{threshold:g}", f"F1 at {threshold:g} m", "", ".3f", "more"),
                 f"harmonic mean of precision and recall at {threshold:g} m",
                 lambda points, threshold=threshold: points.f1[threshold],  # type: ignore[misc]
                 short="" if threshold == middle else f"F1@{threshold:g}",
@@ -344,21 +324,18 @@ def metrics_of_points(yardstick: Yardstick) -> tuple[Metric[PointMetrics], ...]:
             for threshold in yardstick.thresholds_m
         ),
         _of_points(
-            "normals_deg",
-            *("normals off, median", "°", ".1f", "less"),
+            *("normals_deg", "normals off, median", "°", ".1f", "less"),
             "median angle between the normal of a point compared and that of the nearest true triangle, whatever their "
             "signs; of a mesh, of points spread by area",
             lambda points: _of_normals(points.normals_deg),
         ),
         _of_points(
-            f"normals_off@{NORMALS_OFF_DEG:g}",
-            *(f"normals off by more than {NORMALS_OFF_DEG:g}°", "", ".3f", "less"),
+            *(f"normals_off@{NORMALS_OFF_DEG:g}", f"normals off by more than {NORMALS_OFF_DEG:g}°", "", ".3f", "less"),
             f"share of the points compared for which that angle is more than {NORMALS_OFF_DEG:g}°",
             lambda points: _of_normals(points.normals_off),
         ),
         _of_points(
-            "count",
-            *("points compared", "", ".0f", None),
+            *("count", "points compared", "", ".0f", None),
             "number of reconstructed points compared, after thinning",
             lambda points: points.count,
             place="file",
@@ -373,10 +350,9 @@ def _time_s(run: Run) -> float:
 
 
 RUN_METRICS: tuple[Metric[Run], ...] = (
-    Metric("time_s", *("training time", "s", ".0f", "less"), "wall-clock time of the training", _time_s, short="time"),
+    Metric(*("time_s", "training time", "s", ".0f", "less"), "wall-clock time of the training", _time_s, short="time"),
     Metric(
-        "undetermined",
-        *("surface that images leave open", "", ".3f", None),
+        *("undetermined", "surface that images leave open", "", ".3f", None),
         "share of the points whose height along the normal no edge or texture within 4 cells fixes to one cell",
         undetermined,
     ),

@@ -13,7 +13,7 @@ import numpy as np
 from sarsplat.arguments import checks_arguments
 from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError, SarsplatWarning
-from sarsplat.evaluation.azimuths import around
+from sarsplat.evaluation.azimuths import STEP_DEG, around
 from sarsplat.evaluation.matching import Match, Matcher
 from sarsplat.evaluation.templates import (
     Window,
@@ -52,7 +52,7 @@ def locate(
     calibrate: str | Path | Sequence[Dataset | str | Path] = (),
     split: str | None = None,
     grazing_deg: float | None = None,
-    step_deg: float = 3.0,
+    step_deg: float = STEP_DEG,
     window_m: float | None = None,
     ground: Literal["learned", "flat"] = "learned",
     near: Side = "top",
@@ -113,7 +113,7 @@ def locate(
         raise SarsplatError("there are no runs to compare images with; give at least one")
     steps = round(360 / step_deg) if 0 < step_deg <= 45 else 0
     if abs(steps * step_deg - 360) > 1e-6:
-        raise SarsplatError(f"step_deg is {step_deg}; give a divisor of 360 up to 45, such as 3")
+        raise SarsplatError(f"step_deg is {step_deg}; give a divisor of 360 up to 45, such as 2")
     opened = [run if isinstance(run, Run) else Run.load(run) for run in runs]
     opened.sort(key=lambda run: (target_of(run), run.fingerprint, str(run.path)))
     settings: dict[str, Any] = {"ground": ground, "step_deg": float(step_deg), "window_m": window_m}
@@ -207,7 +207,7 @@ def _assembled(
         azimuth_std_deg=np.minimum(
             calibration.azimuth_scale / np.sqrt(chosen("curvature") * samples[:, None] / TEMPERATURE), _UNKNOWN_DEG
         ),
-        reversed_odds=1 / (1 + np.exp(np.minimum((chosen("reversed_nats") - nats) * certainty, _LARGEST_EXPONENT))),
+        reversed_odds=1 / (1 + np.exp(np.minimum(chosen("reversal") * certainty, _LARGEST_EXPONENT))),
         shift_m=chosen("shift")[..., ::-1] * spacing_m,
         gain_db=to_db(chosen("gain")),
         nats=nats,
