@@ -26,8 +26,7 @@ _CANDIDATES, _REVERSED = (12, 3), (6, 1)
 """Number of azimuths whose likelihood is computed, and of those whose displacement is refined: of all, and of those
 around the opposite of the best one."""
 
-_SECTOR_DEG = 45.0
-"""Half width of the sector of opposite azimuths, degrees."""
+_SECTOR_DEG = 45.0  # half width of the sector of opposite azimuths, degrees
 
 _FINE = np.array([(down, right) for down in (0, -1, 1) for right in (0, -1, 1)])
 """Displacements of the fine search, pixels."""
@@ -35,11 +34,8 @@ _FINE = np.array([(down, right) for down in (0, -1, 1) for right in (0, -1, 1)])
 _SHAPES = (4.0, 8.0, 16.0, np.inf)
 """Shapes a of the Lomax distribution, of which the likeliest is taken for an image; infinity: exponential."""
 
-_ROUNDS = 4
-"""Number of steps of expectation maximisation to the best gain of a Lomax distribution."""
-
-_LEAST_CURVATURE = 1e-12
-"""Minimum second difference, nats per pixel and square step."""
+_ROUNDS = 4  # number of steps of expectation maximisation to the best gain of a Lomax distribution
+_LEAST_CURVATURE = 1e-12  # minimum second difference, nats per pixel and square step
 
 
 @dataclass(frozen=True)
@@ -47,11 +43,11 @@ class Match:
     """Best match of an image with each of Q runs."""
 
     nats: Float64[np.ndarray, " q"]
-    """Negative log-likelihood, nats per pixel, of the image divided by its mean in the window."""
+    """Least negative log-likelihood of speckle, nats per pixel, of the image divided by its mean in the window."""
     azimuth_deg: Float64[np.ndarray, " q"]
-    """Azimuth, degrees, in [0, 360)."""
+    """Likeliest azimuth by the Lomax distribution, degrees, in [0, 360)."""
     reversal: Float64[np.ndarray, " q"]
-    """Nats per pixel by which azimuths within 45° of the opposite one are less likely, of the Lomax distribution."""
+    """Nats per pixel, of that distribution, by which azimuths within 45° of the opposite one are less likely."""
     curvature: Float64[np.ndarray, " q"]
     """Second derivative of these nats with respect to azimuth, degrees⁻²."""
     shift: Int64[np.ndarray, "q 2"]
@@ -100,8 +96,9 @@ class Matcher:
         other = self._between_azimuths(image, shifts, *others[1:], shape)
         better = other[0] < found[0]  # then what correlates best is the reversed one
         chosen = (np.where(better.reshape(-1, *[1] * (b.ndim - 1)), a, b) for a, b in zip(other, found, strict=True))
-        _, nats, azimuth_deg, curvature, gain, shift = chosen
-        return Match(nats, azimuth_deg, np.abs(found[0] - other[0]), curvature, shift, gain * level)
+        _, azimuth_deg, curvature, gain, shift = chosen
+        least = np.minimum(nats.min(axis=1), others[0].min(axis=1))
+        return Match(least, azimuth_deg, np.abs(found[0] - other[0]), curvature, shift, gain * level)
 
     def _between_azimuths(
         self,
@@ -111,21 +108,20 @@ class Matcher:
         shift: Int64[np.ndarray, "q k 2"],
         shape: float,
     ) -> tuple[np.ndarray, ...]:
-        """Return nats of both distributions, azimuth, curvature, gain and displacement, of the likeliest azimuth.
+        """Return nats, azimuth (degrees), curvature (per square degree), gain and displacement of the likeliest azimuth.
 
-        A parabola through its neighbours has them at its vertex, all but the last two.
+        The first three are those of the vertex of a parabola through its neighbours.
         """
         run = np.arange(self._runs)[:, None]
         best = self._nats(image, run, azimuth, shift, shape)[0].argmin(axis=1)[:, None]
         three = (np.take_along_axis(azimuth, best, axis=1) + np.array([-1, 0, 1])) % self._azimuths
         _, moved = self._displaced(image, run, three, shifts)
-        (nats, _), (exponential, gain) = (self._nats(image, run, three, moved, a) for a in (shape, np.inf))
+        nats, _ = self._nats(image, run, three, moved, shape)
+        _, gain = self._nats(image, run[:, 0], three[:, 1], moved[:, 1])
         step_deg, bend = 360 / self._azimuths, np.maximum(nats[:, 0] + nats[:, 2] - 2 * nats[:, 1], _LEAST_CURVATURE)
         offset = np.clip((nats[:, 0] - nats[:, 2]) / (2 * bend), -0.5, 0.5)
-        weights = np.stack([offset**2 - offset, 2 - 2 * offset**2, offset**2 + offset], axis=1) / 2
-        azimuth_deg, curvature = (three[:, 1] + offset) * step_deg % 360, bend / step_deg**2
-        both = ((weights * values).sum(axis=1) for values in (nats, exponential))
-        return *both, azimuth_deg, curvature, gain[:, 1], moved[:, 1]
+        vertex = nats[:, 1] + offset * ((nats[:, 2] - nats[:, 0]) / 2 + offset * bend / 2)
+        return vertex, (three[:, 1] + offset) * step_deg % 360, bend / step_deg**2, gain, moved[:, 1]
 
     def _correlations(
         self, image: Float32[np.ndarray, "m n"]
