@@ -79,8 +79,9 @@ def main() -> int:
                 total.add(_in_process(name, number, arguments, atheris))
                 _file(arguments.keep, name, "total").write_text(json.dumps(asdict(total)))
     print(f"{'reader':<15}{'tried':>8}{'refused':>9}{'accepted':>9}{'failures':>9}{'slowest':>10}{'most memory':>13}")
-    for name, total in totals.items():
-        show(name, total)
+    for name, one in totals.items():
+        counts = f"{one.tried:>8}{one.refused:>9}{one.accepted:>9}{one.failed:>9}"
+        print(f"{name:<15}{counts}{one.slowest_s:>8.2f} s{one.max_mib:>9.1f} MiB")
     return int(any(total.failed for total in totals.values()))
 
 
@@ -91,14 +92,6 @@ def _file(keep: Path, name: str, ending: str) -> Path:
 def _tally(keep: Path, name: str, ending: str) -> Tally:
     file = _file(keep, name, ending)
     return Tally(**json.loads(file.read_text())) if file.exists() else Tally()
-
-
-def show(name: str, tally: Tally) -> None:
-    print(
-        f"{name:<15}{tally.tried:>8}{tally.refused:>9}{tally.accepted:>9}{tally.failed:>9}"
-        f"{tally.slowest_s:>8.2f} s{tally.max_mib:>9.1f} MiB",
-        flush=True,
-    )
 
 
 def _in_process(name: str, number: int, arguments: argparse.Namespace, atheris: Any) -> Tally:

@@ -1,6 +1,5 @@
 """What strangers may hand to each reader: valid files of every kind, and structure-aware ways to spoil them."""
 
-import io
 import json
 import random
 import re
@@ -9,6 +8,7 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import safetensors.torch
@@ -24,7 +24,7 @@ import sicds
 from chip_files import COLUMNS, phoenix_bytes
 from fuzz_mutations import NUMBERS, Mutation, spoil_bytes, spoil_json
 from fuzz_radar_files import written
-from made import dataset_of
+from made import dataset_of, in_memory
 from sarsplat.data import (
     load_checkpoint,
     read_dataset,
@@ -117,8 +117,7 @@ def _read_dataset(folder: Path) -> object:
 
 
 def _tiffs() -> list[bytes]:
-    made = []
-    for image, options in [
+    kinds: list[tuple[np.ndarray, dict[str, Any]]] = [
         (IMAGE, {"metadata": None, "description": "power"}),
         (IMAGE, {"byteorder": ">", "metadata": None}),
         (IMAGE, {"bigtiff": True, "metadata": None}),
@@ -129,11 +128,8 @@ def _tiffs() -> list[bytes]:
         (IMAGE.astype(np.float64), {}),
         (IMAGE, {"ome": True}),
         (IMAGE, {"imagej": True}),
-    ]:
-        buffer = io.BytesIO()
-        tifffile.imwrite(buffer, image, **options)
-        made.append(buffer.getvalue())
-    return made
+    ]
+    return [in_memory(tifffile.imwrite, image, **options) for image, options in kinds]
 
 
 def _spoil_tiff(data: bytes, rng: random.Random) -> bytes:
@@ -352,9 +348,7 @@ def _mesh_reader(kind: str, *mutations: Mutation) -> Reader:
 
 
 def _jpeg() -> bytes:
-    buffer = io.BytesIO()
-    Image.fromarray((IMAGE * 20).astype(np.uint8)).save(buffer, "JPEG")
-    return buffer.getvalue()
+    return in_memory(Image.fromarray((IMAGE * 20).astype(np.uint8)).save, "JPEG")
 
 
 _LABELS = (
@@ -371,6 +365,8 @@ def _chips(folder: Path) -> None:
 def _read_chips(folder: Path) -> object:
     return [chip.magnitude for chip in read_chips(folder / "chips", folder / "labels.csv", "T72")]
 
+
+_LITTLE, _BIG = radar.spoil_number(("<f4", "<f8"), 128), radar.spoil_number((">f4", ">f8"), 4096)
 
 READERS = (
     Reader("phoenix", "HB00001.000", _read_phoenix, lambda: [phoenix_bytes()], (_phoenix_fits,)),
@@ -402,8 +398,8 @@ READERS = (
     Reader("sicd", "a.nitf", radar.read_sicd, radar.sicd_seeds, (radar.spoil_xml(sicds),)),
     Reader("rslc", "a.h5", radar.read_rslc, radar.rslc_seeds),
     Reader("mat", "a.mat", lambda folder: read_mat(folder / "a.mat"), radar.mat_seeds, (radar.spoil_mat,)),
-    Reader("gotcha", "a.mat", radar.read_pulses, radar.pulse_seeds, (radar.spoil_mat, radar.spoil_samples)),
-    Reader("cphd", "a.cphd", radar.read_cphd, radar.cphd_seeds, (radar.spoil_xml(cphds), radar.spoil_pulse)),
+    Reader("gotcha", "a.mat", radar.read_pulses, radar.pulse_seeds, (radar.spoil_mat, _LITTLE)),
+    Reader("cphd", "a.cphd", radar.read_cphd, radar.cphd_seeds, (radar.spoil_xml(cphds), _BIG)),
     Reader("folder table", "shots/t.csv", pics.read_table, pics.tables, (pics.spoil_cell,), pics.prepare_table),
     Reader("folder picture", "picture", pics.read_picture, pics.pictures, (_spoil_tiff, pics.spoil_npy)),
     Reader("sample", pics.SAMPLE_FILE, pics.read_sample, pics.samples, (radar.spoil_mat,), pics.prepare_sample),

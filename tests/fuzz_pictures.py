@@ -13,7 +13,7 @@ import tifffile
 from PIL import Image
 
 from fuzz_mutations import FLOATS, NUMBERS
-from made import sample_bytes, sample_path
+from made import in_memory, sample_bytes, sample_path
 from sarsplat.data import Dataset
 from sarsplat.importers import import_folder, import_sample
 
@@ -72,8 +72,9 @@ def pictures() -> list[bytes]:
     eight, zeros = (_POWER * 40).astype(np.uint8), np.zeros((1000, 1000), np.uint8)
     made = []
     for pixels in (eight, (_POWER * 9000).astype(np.uint16), np.stack([eight] * 3, axis=-1), zeros):
-        made.append(_saved(Image.fromarray(pixels), "PNG"))
-    made += [_saved(Image.fromarray(eight).convert("P"), "PNG"), _saved(Image.fromarray(eight), "JPEG")]
+        made.append(in_memory(Image.fromarray(pixels).save, "PNG"))
+    picture = Image.fromarray(eight)
+    made += [in_memory(picture.convert("P").save, "PNG"), in_memory(picture.save, "JPEG")]
     for pixels, options in (
         (_POWER, {}),
         (eight, {"compression": "zlib"}),
@@ -85,32 +86,19 @@ def pictures() -> list[bytes]:
         (eight, {"photometric": "miniswhite", "extratags": _TAGS}),
         (eight, {"description": '{"scale_factor": 0.1, "radiometry": "sigma_nought"}'}),
     ):
-        buffer = io.BytesIO()
-        tifffile.imwrite(buffer, pixels, **{"metadata": None, **options})
-        made.append(buffer.getvalue())
+        made.append(in_memory(tifffile.imwrite, pixels, **{"metadata": None, **options}))
     for pixels, options in ((_POWER, {"tiffinfo": {317: 3}}), ((_POWER * 9000).astype(np.uint16), {}), (zeros, {})):
-        made.append(_saved(Image.fromarray(pixels), "TIFF", compression="tiff_lzw", **options))
-    made.append(_saved(Image.fromarray(eight), "TIFF", compression="jpeg"))
-    tifffile.imwrite(
-        buffer := io.BytesIO(), np.stack([eight, eight * 0 + 255], axis=-1), photometric="minisblack", extrasamples=[2]
-    )
-    made.append(buffer.getvalue())
+        made.append(in_memory(Image.fromarray(pixels).save, "TIFF", compression="tiff_lzw", **options))
+    made.append(in_memory(picture.save, "TIFF", compression="jpeg"))
+    opaque = np.stack([eight, eight * 0 + 255], axis=-1)
+    made.append(in_memory(tifffile.imwrite, opaque, photometric="minisblack", extrasamples=[2]))
     with tifffile.TiffWriter(buffer := io.BytesIO()) as tiff:
         tiff.write(_POWER, metadata=None)
         tiff.write(_POWER > 1, subfiletype=4, photometric="mask", metadata=None)
     made.append(buffer.getvalue())
     for pixels in (_POWER, _SIGNAL, np.stack([_POWER, _POWER], axis=-1), np.asfortranarray(eight)):
-        buffer = io.BytesIO()
-        np.save(buffer, pixels)
-        made.append(buffer.getvalue())
-    scipy.io.savemat(buffer := io.BytesIO(), {"image": _SIGNAL, "spacing": 0.5})
-    return [*made, buffer.getvalue()]
-
-
-def _saved(image: Image.Image, kind: str, **options: object) -> bytes:
-    buffer = io.BytesIO()
-    image.save(buffer, kind, **options)
-    return buffer.getvalue()
+        made.append(in_memory(np.save, pixels))
+    return [*made, in_memory(scipy.io.savemat, {"image": _SIGNAL, "spacing": 0.5})]
 
 
 def spoil_npy(data: bytes, rng: random.Random) -> bytes:

@@ -17,7 +17,7 @@ import scipy.io
 import cphds
 import sicds
 from fuzz_mutations import FLOATS, NUMBERS, Mutation, spoil_bytes
-from made import NOISE
+from made import NOISE, in_memory
 from pulses import FREQUENCIES, circle, record
 from rslcs import halves, write_rslc
 from sarsplat.data import Dataset
@@ -48,13 +48,8 @@ def sicd_seeds() -> list[bytes]:
     """One of each pixel type, small, and one of the oldest version."""
     made = []
     for kind, pixel_type in (("PLANE", "RE16I_IM16I"), ("RGAZIM", "AMP8I_PHS8I"), ("RGZERO", "RE32F_IM32F")):
-        options = {
-            "kind": kind,
-            "pixel_type": pixel_type,
-            "amplitude_table": kind == "RGAZIM",
-            "calibration": (("BetaZero", 2.0),),
-        }
-        recording = sicds.Recording(rows=24, columns=20, **options)
+        how = {"amplitude_table": kind == "RGAZIM", "calibration": (("BetaZero", 2.0),)}
+        recording = sicds.Recording(rows=24, columns=20, kind=kind, pixel_type=pixel_type, **how)
         made.append(written(lambda path, one=recording: sicds.write_sicd(path, sicds.Track(), [(0, 0, 0)], one)))
     return [*made, sicds.of_version(made[-1], "0.4.0")]
 
@@ -86,12 +81,16 @@ def spoil_xml(files: ModuleType) -> Mutation:
     return spoil
 
 
-def spoil_pulse(data: bytes, rng: random.Random) -> bytes:
-    """A number of the pulses or of the signal."""
-    place = len(data) // 8 * 8 - 8 * rng.randrange(1, max(2, len(data) // 8 - 512))
-    with np.errstate(over="ignore"):
-        packed = np.array(rng.choice((*FLOATS, 1e-300, 3e3, 1e10))).astype(rng.choice((">f4", ">f8"))).tobytes()
-    return data[:place] + packed + data[place + len(packed) :]
+def spoil_number(kinds: tuple[str, ...], kept: int) -> Mutation:
+    """A number of one of these types, after a header of so many bytes."""
+
+    def spoil(data: bytes, rng: random.Random) -> bytes:
+        place = len(data) // 8 * 8 - 8 * rng.randrange(1, max(2, (len(data) - kept) // 8))
+        with np.errstate(over="ignore"):
+            packed = np.array(rng.choice((*FLOATS, 1e-300, 3e3, 1e10))).astype(rng.choice(kinds)).tobytes()
+        return data[:place] + packed + data[place + len(packed) :]
+
+    return spoil
 
 
 def read_sicd(folder: Path) -> object:
@@ -128,11 +127,9 @@ def mat_seeds() -> list[bytes]:
     """Records and cells, plain and compressed, and a bomb."""
     made = []
     record = {"fp": NOISE[0] * (1 + 2j), "freq": np.arange(6.0), "af": {"r": NOISE[0]}, "text": ["ab", "cd"], "no": {}}
+    cells = np.array([1.0, "x", NOISE[0]], object)
     for compressed in (False, True):
-        buffer = io.BytesIO()
-        cells = np.array([1.0, "x", NOISE[0]], object)
-        scipy.io.savemat(buffer, {"data": record, "cells": cells}, do_compression=compressed)
-        made.append(buffer.getvalue())
+        made.append(in_memory(scipy.io.savemat, {"data": record, "cells": cells}, do_compression=compressed))
     with h5py.File(buffer := io.BytesIO(), "w") as file:  # version 7.3, whose header is 512 bytes before it
         file["data/fp"], file["data/freq"], file["cells"] = NOISE[0], np.arange(6.0), np.array([[72]], "u2")
         file["signal"] = np.rec.fromarrays([NOISE[0], NOISE[0]], [("real", "f8"), ("imag", "f8")])
@@ -156,25 +153,14 @@ def spoil_mat(data: bytes, rng: random.Random) -> bytes:
 def pulse_seeds() -> list[bytes]:
     """Eight pulses of one flight past a point."""
     made = []
+    data = record(circle(np.linspace(10, 11, 8)), [(1.0, 0.0, 0.0)], FREQUENCIES[::8])
+    data |= {"af": {"r_correct": np.zeros(8), "ph_correct": np.ones(8)}}
     for kind in (np.float64, np.float32):
-        data = record(circle(np.linspace(10, 11, 8)), [(1.0, 0.0, 0.0)], FREQUENCIES[::8])
-        data |= {"af": {"r_correct": np.zeros(8), "ph_correct": np.ones(8)}}
-        buffer = io.BytesIO()
         single = {
             k: v.astype(kind) if isinstance(v, np.ndarray) and v.dtype.kind == "f" else v for k, v in data.items()
         }
-        scipy.io.savemat(buffer, {"data": single})
-        made.append(buffer.getvalue())
+        made.append(in_memory(scipy.io.savemat, {"data": single}))
     return made
-
-
-def spoil_samples(data: bytes, rng: random.Random) -> bytes:
-    """A number among the values."""
-    value = np.array(rng.choice((*FLOATS, 1e-300, 3e3, 1e10)))
-    with np.errstate(over="ignore"):
-        packed = value.astype(rng.choice(("<f4", "<f8"))).tobytes()
-    place = len(data) // 8 * 8 - 8 * rng.randrange(1, max(2, len(data) // 8 - 16))
-    return data[:place] + packed + data[place + len(packed) :]
 
 
 def read_pulses(folder: Path) -> object:

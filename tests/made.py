@@ -2,7 +2,7 @@
 
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ import tifffile
 import torch
 from torch import Tensor
 
-from sarsplat import ImageGrid, ScatteringLaw, Stack, Terrain, View, preset, simulate_raycast
+from sarsplat import ImageGrid, Stack, Terrain, View, preset, simulate_images
 from sarsplat.data import Dataset, DatasetEntry, write_dataset
 from sarsplat.gaussians import Gaussians, Harmonics, Scattering
 
@@ -70,9 +70,9 @@ def box_dataset(folder: Path, grid: ImageGrid, *, masks: bool = False) -> Datase
     mesh = _boxes(((3.0, 2.0, 1.2), (0, 0, 0.6)))
     views = [(View(azimuth, grazing), "train") for azimuth in range(0, 360, 60) for grazing in (20.0, 50.0)]
     views += [(View(azimuth, 35.0), "test") for azimuth in (30, 200)]
-    images = np.stack([simulate_raycast(mesh, view, grid, ScatteringLaw()) for view, _ in views])
-    made = dataset_of(grid, views, images, source={"kind": "raycast"})
-    true = raycast_masks(mesh, [view for view, _ in views], grid) if masks else None
+    alone = [view for view, _ in views]
+    made = dataset_of(grid, views, simulate_images(mesh, alone, grid), source={"kind": "raycast"})
+    true = raycast_masks(mesh, alone, grid) if masks else None
     return write_dataset(folder / "dataset", made, truth_mesh=mesh, masks=true)
 
 
@@ -129,6 +129,13 @@ def upright(
 
 
 # ---- files -----------------------------------------------------------------------------------------------------------
+def in_memory(write: Callable[..., object], *arguments: Any, **options: Any) -> bytes:
+    """What a function such as `numpy.save` writes to the open file that it is given first."""
+    buffer = io.BytesIO()
+    write(buffer, *arguments, **options)
+    return buffer.getvalue()
+
+
 PROJECTED = (1, 1, 0, 2, 1024, 0, 1, 1, 3076, 0, 1, 9001)
 """GeoTIFF keys of a projected system in metres."""
 
@@ -151,9 +158,7 @@ def sample_bytes(image: np.ndarray, azimuth: float, changes: dict[str, object] |
         **{"range_resolution": 0.3047, "xrange_resolution": 0.3047},
         **{"target_name": "t72", "source_mstar_file": "HB19377.016", "explanation": "one line", **(changes or {})},
     }
-    buffer = io.BytesIO()
-    scipy.io.savemat(buffer, {name: value for name, value in variables.items() if value is not None})
-    return buffer.getvalue()
+    return in_memory(scipy.io.savemat, {name: value for name, value in variables.items() if value is not None})
 
 
 def sample_path(folder: Path, azimuth: float, kind: str = "real", target: str = "t72") -> Path:

@@ -35,9 +35,8 @@ class ShapeError(AssertionError):
 def watch() -> None:
     """Replace every function and method of the package that has shape annotations by one that checks them."""
     names = [info.name for info in pkgutil.walk_packages(sarsplat.__path__, "sarsplat.")]
-    modules = [
-        importlib.import_module(name) for name in names if not name.endswith("._engine")
-    ]  # that one is no Python
+    # the engine is no Python
+    modules = [importlib.import_module(name) for name in names if not name.endswith("._engine")]
     found: dict[int, Callable] = {}
     for module in modules:
         for value in vars(module).values():
@@ -90,11 +89,17 @@ def watched(function: types.FunctionType) -> Callable:
         EXECUTED[name] += 1
         return result
 
-    @functools.wraps(function)
-    def first_calls(*arguments: object, **options: object) -> object:
-        return (call if EXECUTED[name] < MOST else function)(*arguments, **options)
+    return _first_calls(call, function, name)
 
-    return first_calls
+
+def _first_calls(checked: Callable, plain: Callable, name: str) -> Callable:
+    """The checked function until it was called often enough, then the plain one."""
+
+    @functools.wraps(plain)
+    def function(*arguments: object, **options: object) -> object:
+        return (checked if EXECUTED[name] < MOST else plain)(*arguments, **options)
+
+    return function
 
 
 def _watch_class(cls: type) -> None:
@@ -126,8 +131,4 @@ def _watch_fields(cls: type, shapes: dict[str, object]) -> None:
             raise ShapeError(f"{cls.__name__} took {', '.join(wrong)}: not of the shape in its annotation")
         EXECUTED[name] += 1
 
-    @functools.wraps(initialise)
-    def first_calls(self: object, *arguments: object, **options: object) -> None:
-        (checked if EXECUTED[name] < MOST else initialise)(self, *arguments, **options)
-
-    cls.__init__ = first_calls
+    cls.__init__ = _first_calls(checked, initialise, name)

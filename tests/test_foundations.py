@@ -189,9 +189,7 @@ def home(tmp_path, monkeypatch):
         "theirs-1.0.dist-info/METADATA": "Metadata-Version: 2.1\nName: theirs\nVersion: 1.0\n",
         "theirs-1.0.dist-info/entry_points.txt": f"[{GROUP}]\nfine = theirs:GOOD\nbad = broken:GOOD\n",
     }
-    for name, text in files.items():
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_text(text)
+    write(tmp_path, files)
     monkeypatch.syspath_prepend(str(tmp_path))
     yield tmp_path
     for module in ("ours_a", "ours_a.format_long_name", "ours_b", "ours_b.format_c", "theirs"):

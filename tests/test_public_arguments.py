@@ -16,12 +16,11 @@ from torch import Tensor
 
 import sarsplat
 from made import small_dataset, upright
-from sarsplat import Harmonics, ImageGrid, RayGrid, Run, SarImage, SarsplatError, Trainer, View, Viewer, reconstruct
+from sarsplat import Harmonics, ImageGrid, RayGrid, Run, SarImage, SarsplatError, Trainer, View, Viewer
 from sarsplat.arguments import checks_arguments
 from sarsplat.data import Dataset, read_points_ply, write_mesh, write_points_ply
 from sarsplat.gaussians import Gaussians
 from sarsplat.scenes import ScatteringLaw, law_scattering
-from sarsplat.settings import Config
 
 if TYPE_CHECKING:
     import trimesh
@@ -194,9 +193,6 @@ def test_no_public_function_takes_just_anything(function: Any, name: str) -> Non
     [
         (lambda: Run.from_gaussians(scene(0)), "a run needs at least one Gaussian"),
         (lambda: write_mesh("a.ply", scene()), "mesh is Gaussians(3, harmonics with 1 number, torch.float32, cpu)"),
-        (lambda: Trainer(DATA, Config(), strategies=[3]), "strategies holds 3; make each an object of"),
-        (lambda: reconstruct(None), "dataset is None; give a Dataset, such as read_dataset(PATH) reads or a path"),
-        (lambda: Gaussians.cat([scene(), 3]), "scenes holds 3; make each Gaussians"),
         (lambda: scene()["x"], "the index is 'x'; give an integer, a slice, a mask [N] or integers [M]"),
         (lambda: Harmonics(torch.ones(2, 1), None), "p_min is None; give a number"),
         (lambda: Harmonics(torch.ones(2, 1)).joined(3), "other is 3; give"),
@@ -209,14 +205,3 @@ def test_no_public_function_takes_just_anything(function: Any, name: str) -> Non
 def test_what_users_mix_up(call: Callable[[], object], sentence: str) -> None:
     with pytest.raises(SarsplatError, match=rf"^{re.escape(sentence)}"):
         call()
-
-
-def test_a_viewer_refuses_before_it_serves() -> None:
-    pytest.importorskip("viser")
-    with pytest.raises(SarsplatError, match=r"^subject is None; give an object of the class Subject or Gaussians"):
-        Viewer(None)
-    with Viewer(scene()) as shown:
-        with pytest.raises(SarsplatError, match=r"^view is \(30, 40\); give a View\("):
-            shown.look_from((30, 40))
-        with pytest.raises(SarsplatError, match=r"^gaussians is None; give Gaussians"):
-            shown.update(None)

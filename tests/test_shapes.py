@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 import shapes
 from chromium import chromium
-from sarsplat import Gaussians, Harmonics, SarsplatError, View, radar_frame
+from sarsplat import View, radar_frame
 from sarsplat.evaluation.lpips import Lpips
 from sarsplat.gaussians.gaussians import covariance, rotation_matrix
 from sarsplat.geometry.responses import GAUSSIAN
@@ -50,11 +50,6 @@ def test_a_wrong_result_is_found():
 
     with pytest.raises(shapes.ShapeError, match="shrunk returned something else"):
         shapes.watched(shrunk)(np.zeros((4, 3)))
-
-
-def test_refusing_by_itself_is_fine():
-    with pytest.raises(SarsplatError, match=r"means has shape \(5, 2\)"):
-        Gaussians(torch.ones(5, 2), torch.ones(5, 4), torch.ones(5, 3), torch.ones(5), Harmonics(torch.ones(5, 1)))
 
 
 def test_names_imported_elsewhere_are_watched_too():

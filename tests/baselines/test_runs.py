@@ -29,7 +29,7 @@ from sarsplat.evaluation.points import surface_distance
 from sarsplat.runs import METHODS
 
 BASELINES = cast("Mapping[str, BaselineMethod]", METHODS)
-SHORT = {"sar-nerf": 2, "sar-nerf-grid": 12, "dsr": 6}
+SHORT = {"sar-nerf": 2, "sar-nerf-grid": 6, "dsr": 4}
 EVERY = pytest.mark.parametrize("method", SHORT)
 
 
@@ -291,7 +291,6 @@ def rendered(corner: float) -> object:
         (in_the_sky, "appears in none of the 1 training images; give the box"),
         (lambda: SarNerfGrid(SCENE, SarNerfGridConfig(voxel=1e-3)), "give a larger voxel"),
         (lambda: covered(math.nan), "a vertex of the mesh is not finite"),
-        (lambda: covered(math.inf), "a vertex of the mesh is not finite"),
         (lambda: rendered(math.nan), "nan m away"),
     ],
 )
@@ -315,7 +314,6 @@ def test_too_many_pairs_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
         ({"loss": len}, "sar-nerf-grid uses no loss; omit "),
         ({"strategies": [1]}, r"sar-nerf-grid uses no strategies; omit \(1,\)"),
         ({"out": "run", "resume": False, "overwrite": True, "device": "gpu"}, "device 'gpu' is unknown"),
-        ({"method": "magic"}, "there is no method 'magic'; choose one of sar-gs, "),
     ],
 )
 def test_trainings_refuse(arguments, message, small_box):

@@ -19,12 +19,12 @@ from PIL import Image
 
 from made import FEW_POINTS, upright
 from programs import elsewhere
-from sarsplat import Config, Trainer, read_gaussians_ply, read_points_ply, scenes, write_gaussians_ply
+from sarsplat import Config, Trainer, read_points_ply, scenes, write_gaussians_ply
 from sarsplat.cli import main
 from sarsplat.data.folders import only_writer
 from sarsplat.exports import FORMATS
 from sarsplat.runs import Run, own_gaussians
-from sarsplat.surface import first_returns, normals, visibility
+from sarsplat.surface import first_returns, normals
 
 
 @pytest.fixture
@@ -57,7 +57,6 @@ def test_export_and_info(tmp_path: Path, said, refused) -> None:
     for name in ("plain.ply", "mesh.glb", "mesh.obj"):
         said(f"export run {tmp_path}/{name}")
     count = Run.load("run").history[-1].gaussians
-    assert len(read_gaussians_ply(tmp_path / "plain.ply")) == count
     assert (tmp_path / "plain.ply").read_bytes() == (tmp_path / "gaussians.ply").read_bytes()
     points, columns = read_points_ply(tmp_path / "points.ply")
     assert list(columns) == ["nx", "ny", "nz", "gamma0"]
@@ -123,34 +122,22 @@ def test_ctrl_c_says_how_to_continue(tmp_path: Path, monkeypatch, capsys, said) 
 
 
 @pytest.mark.parametrize(
-    ("where", "number"),
-    [
-        ((first_returns, "render", 3), signal.SIGINT),
-        ((first_returns, "render", 3), signal.SIGTERM),
-        ((visibility, "render", 2), signal.SIGINT),
-        ((normals, "neighbours_of", 1), signal.SIGINT),
-    ],
+    ("module", "name", "number"), [(first_returns, "render", signal.SIGTERM), (normals, "neighbours_of", signal.SIGINT)]
 )
 def test_one_signal_ends_the_extraction_and_the_run_resumes(
-    tmp_path: Path,
-    where: tuple[ModuleType, str, int],
-    number: int,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path, module: ModuleType, name: str, number: int, monkeypatch, capsys
 ) -> None:
-    out, (module, name, count) = tmp_path / "run", where
+    out = tmp_path / "run"
     few = "--iterations 4 --points.voxel 0.3 --points.rays-per-pixel 2"
     words = f"reconstruct dataset {few} --out {out}".split()
-    usual, calls = getattr(module, name), []
+    usual = getattr(module, name)
 
-    def until(*arguments: Any, **options: Any) -> Any:
-        calls.append(1)
-        if len(calls) == count:
-            os.kill(os.getpid(), number)
+    def signalled(*arguments: Any, **options: Any) -> Any:
+        os.kill(os.getpid(), number)
         return usual(*arguments, **options)
 
     with monkeypatch.context() as patch:
-        patch.setattr(module, name, until)
+        patch.setattr(module, name, signalled)
         assert main(words) == 128 + number
     message = " ".join(capsys.readouterr().err.split())
     assert f"{out} keeps the progress so far; continue with `sarsplat reconstruct" in message

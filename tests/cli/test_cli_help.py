@@ -6,10 +6,10 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Iterable
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Iterator
+from dataclasses import fields
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import pytest
 
@@ -144,15 +144,6 @@ main(sys.argv[1:])
 """
 
 
-@dataclass
-class Begun:
-    """A command that has ended."""
-
-    code: int
-    imported: list[str]
-    shown: str
-
-
 @pytest.fixture(scope="module")
 def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a dataset, a finished run, an image, and a file of no known kind."""
@@ -167,17 +158,17 @@ HELP = ["info --help", "simulate --help", "import mstar --help", "reconstruct --
 """Commands that import the same."""
 
 
-def begun(commands: Iterable[str], folder: Path) -> dict[str, Begun]:
-    """What commands say, and import, in one process."""
+def begun(commands: Iterable[str], folder: Path) -> Iterator[tuple[str, list[Any]]]:
+    """Commands, in one process, each with its exit code, what it imported, and what it said."""
     lines = python("-c", BEGUN, *commands, cwd=folder).stdout.splitlines()
-    return dict(zip(commands, (Begun(*json.loads(line)) for line in lines), strict=True))
+    return zip(commands, map(json.loads, lines), strict=True)
 
 
 @pytest.mark.parametrize(("commands", "imported"), [(["--help"], []), (HELP, ["tyro"])], ids=["all", "one"])
 def test_help_imports_nothing_heavy(commands: list[str], imported: list[str], tmp_path: Path) -> None:
-    for words, said in begun(commands, tmp_path).items():
-        assert (said.code, said.imported) == (0, imported), words
-        assert said.shown.startswith(f"usage: sarsplat {words.removesuffix('--help')}[-h]")
+    for words, (*ended, shown) in begun(commands, tmp_path):
+        assert ended == [0, imported], words
+        assert shown.startswith(f"usage: sarsplat {words.removesuffix('--help')}[-h]")
 
 
 INFO = {
@@ -189,10 +180,10 @@ INFO = {
 
 
 def test_info_imports_nothing_heavy(places: Path) -> None:
-    for words, said in begun(INFO, places).items():
+    for words, (*ended, shown) in begun(INFO, places):
         code, told = INFO[words]
-        assert (said.code, said.imported) == (code, ["numpy", "tyro"]), words
-        assert told in said.shown
+        assert ended == [code, ["numpy", "tyro"]], words
+        assert told in shown
 
 
 def test_a_reconstruction_says_what_it_reads_before_torch_is_imported(places: Path) -> None:

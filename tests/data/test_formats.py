@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import copy
 import importlib.util
 import json
 import re
+import shutil
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -81,20 +81,15 @@ def test_what_sarsplat_writes_fits_the_schema(tmp_path):
         (("score_margin",), -1, "score_margin -1"),
     ],
 )
-def test_what_the_schema_refuses_the_reader_refuses(foreign, place, value, words):
-    """And neither refuses the file as it was."""
-    path = foreign / "dataset.json"
-    whole = path.read_text()
-    header = json.loads(whole)
+def test_what_the_schema_refuses_the_reader_refuses(foreign, tmp_path, place, value, words):
+    folder = shutil.copytree(foreign, tmp_path / "set")
+    header = json.loads((folder / "dataset.json").read_text())
     inner = header
     for key in place[:-1]:
         inner = inner[key]
-    inner[place[-1]] = copy.copy(value)
+    inner[place[-1]] = value
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.validate(header, SCHEMA)
-    try:
-        path.write_text(json.dumps(header))
-        with pytest.raises(SarsplatError, match=words):
-            read_dataset(foreign)
-    finally:
-        path.write_text(whole)
+    (folder / "dataset.json").write_text(json.dumps(header))
+    with pytest.raises(SarsplatError, match=words):
+        read_dataset(folder)

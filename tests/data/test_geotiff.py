@@ -18,6 +18,8 @@ from sarsplat.data.terrain_file import read_heights
 from sarsplat.examination.plausible import suspicions
 from sarsplat.importers import MeasuredImage, dataset_of
 
+pyproj, rasterio = pytest.importorskip("pyproj"), pytest.importorskip("rasterio")
+
 HEIGHTS = np.arange(12.0).reshape(3, 4)
 
 
@@ -107,7 +109,6 @@ ZONES = [(32632, 7.0, 47.3), (32756, 151.2, -33.9), (32660, 179.99, 64.0), (2056
 @pytest.mark.parametrize(("epsg", "longitude", "latitude"), ZONES)
 def test_a_map_says_where_the_terrain_is(tmp_path, epsg, longitude, latitude):
     """By places that pyproj moves there from longitude and latitude: a corner, and steps on the ground."""
-    pyproj = pytest.importorskip("pyproj")
     forward = pyproj.Transformer.from_crs("EPSG:4326", epsg, always_xy=True)
     east, north = forward.transform(longitude, latitude)
     made = read_terrain(on_map(tmp_path / "a.tif", epsg, east, north))
@@ -122,7 +123,6 @@ def test_a_map_says_where_the_terrain_is(tmp_path, epsg, longitude, latitude):
 
 
 def test_points_are_middles_of_pixels_if_the_file_says_so(tmp_path):
-    pytest.importorskip("pyproj")
     area = read_terrain(on_map(tmp_path / "a.tif", 32632, 5e5, 5e6)).place
     point = read_terrain(on_map(tmp_path / "b.tif", 32632, 5e5, 5e6, 1025, 0, 1, 2)).place
     assert area.from_ecef(point.ecef)[:2] == pytest.approx((-10.0, 15.0), abs=0.01)
@@ -133,12 +133,10 @@ LEVELS = {5773: "sea level", 3855: "sea level", 5103: "sea level", 5030: "ellips
 
 @pytest.mark.parametrize(("code", "above"), [*LEVELS.items(), *((code, "unknown") for code in (32767, 5001, 4342))])
 def test_what_heights_are_above(tmp_path, code, above):
-    pytest.importorskip("pyproj")
     assert read_terrain(on_map(tmp_path / "a.tif", 32632, 5e5, 5e6, 4096, 0, 1, code)).place.height_above == above
 
 
 def test_a_map_that_is_nowhere_is_told(tmp_path, monkeypatch):
-    pytest.importorskip("pyproj")
     with pytest.warns(SarsplatWarning, match="is outside of that system"):
         assert read_terrain(on_map(tmp_path / "a.tif", 32632, 5e11, 5e6)).place is None
     assert read_terrain(on_map(tmp_path / "a.tif", 1500, 5e5, 5e6)).pitch_m == (20.0, 30.0)  # of no known system
@@ -151,7 +149,6 @@ def test_a_map_that_is_nowhere_is_told(tmp_path, monkeypatch):
 
 def test_terrain_is_laid_out_around_another_place(tmp_path):
     """A plane that rises by 0.1 to the north-east of the map, whose north is not the true one there."""
-    pyproj = pytest.importorskip("pyproj")
     rows, columns = np.mgrid[0:80, 0:100]
     slope = 0.1 * (20.0 * columns - 30.0 * rows) / np.sqrt(2) + 500
     made = read_terrain(on_map(tmp_path / "a.tif", 32632, 2e5, 5e6, heights=slope)).centred()
@@ -212,7 +209,6 @@ def test_holes_that_are_not_said_to_be_holes_are_no_heights(tmp_path, hole):
 
 def test_another_datum_is_reached_as_exactly_as_is_said_or_not_at_all(tmp_path):
     """ED50 by EPSG's own shift of geocentric coordinates (ED50 to WGS 84 (1), 3 to 8 m); NAD27 has none in Europe."""
-    pyproj = pytest.importorskip("pyproj")
     with pytest.warns(SarsplatWarning, match=r"\(EPSG:23032\) .* to within 2 m"):
         place = read_terrain(on_map(tmp_path / "a.tif", 23032, 5e5 - 40, 5e6 + 45)).place
     longitude, latitude = pyproj.Proj("+proj=utm +zone=32 +ellps=intl")(5e5, 5e6, inverse=True)
@@ -231,14 +227,12 @@ def test_another_datum_is_reached_as_exactly_as_is_said_or_not_at_all(tmp_path):
     ("code", "said"), [(5715, "measured down"), (8051, "foot"), (6357, "measured down"), (6360, "foot")]
 )
 def test_depths_and_heights_in_feet_are_refused(tmp_path, code, said):
-    pytest.importorskip("pyproj")
     with pytest.raises(SarsplatError, match=said):
         read_terrain(on_map(tmp_path / "a.tif", 32632, 5e5, 5e6, 4096, 0, 1, code))
 
 
 @pytest.mark.parametrize("inside", [True, False])  # a file beside it is GDAL's habit before 3.9
 def test_packed_heights_with_a_mask_and_overviews(tmp_path, inside):
-    rasterio = pytest.importorskip("rasterio")
     heights = np.random.default_rng(0).normal(size=(37, 50)).astype(np.float32)
     made = {"driver": "GTiff", "count": 1, "dtype": "float32", "width": 50, "height": 37, "crs": "EPSG:32632"}
     made |= {"transform": rasterio.Affine(0.5, 0, 5e5, 0, -0.5, 5e6), "compress": "LZW", "predictor": 3}
@@ -282,7 +276,6 @@ def test_terrain_that_is_turned_ends_where_the_other_did():
 
 
 def test_coordinates_far_from_where_a_system_is_for_are_told(tmp_path):
-    pytest.importorskip("pyproj")
     for epsg, at, told in ((28992, (5e5, 5e6), True), (32632, (5e5, 5e6), False), (3832, (3e6, 1e6), False)):
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
@@ -291,7 +284,6 @@ def test_coordinates_far_from_where_a_system_is_for_are_told(tmp_path):
 
 
 def test_terrain_of_ours_that_another_program_placed_is_read_as_it_says(tmp_path):
-    rasterio = pytest.importorskip("rasterio")
     path = tmp_path / "a.tif"
     write_terrain(path, hill())
     with rasterio.open(path, "r+") as file:
@@ -302,7 +294,6 @@ def test_terrain_of_ours_that_another_program_placed_is_read_as_it_says(tmp_path
 
 
 def test_heights_of_other_formats_need_a_system(tmp_path):
-    pytest.importorskip("rasterio")
     (tmp_path / "a.asc").write_text("ncols 3\nnrows 2\nxllcorner 8.5\nyllcorner 47.1\ncellsize 0.00083\n1 2 3\n4 5 6\n")
     with pytest.raises(SarsplatError, match="names no coordinate system"):
         read_terrain(tmp_path / "a.asc")

@@ -141,15 +141,10 @@ def test_json(tmp_path, text):
     assert read_json(path, Any) == ["😀 😀"]
 
 
-@pytest.fixture
-def dataset(tmp_path):
+def test_folders_whose_names_are_not_text(tmp_path):
     prepare_dataset(tmp_path)
-    return tmp_path / "set"
-
-
-def test_folders_whose_names_are_not_text(dataset, tmp_path):
     there = Path(os.fsdecode(os.fsencode(tmp_path) + b"/\xff\xfe"))
-    shutil.move(dataset, there)
+    shutil.move(tmp_path / "set", there)
     assert read_dataset(there).grid == GRID
     assert main(["info", str(there)]) == 0
     with pytest.raises(SarsplatError, match=r"cannot be written as JSON: .*surrogates not allowed"):

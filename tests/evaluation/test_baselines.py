@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from scipy.ndimage import uniform_filter
 
-from made import FEW_POINTS, dataset_of
-from sarsplat import Gaussians, Harmonics, ImageGrid, Run, Stack, View, import_mstar, radar_frame, render
+from made import FEW_POINTS, dataset_of, upright
+from sarsplat import Gaussians, ImageGrid, Run, Stack, View, import_mstar, radar_frame, render
 from sarsplat.data import Dataset, DatasetEntry
 from sarsplat.evaluation import (
     baseline_scores,
@@ -123,7 +122,6 @@ def test_zeros_of_measured_power_leave_a_score_null_with_its_reason():
     assert scores["nearest_chip"]["nats_per_pixel"] is None
     assert "the predicted power is zero at 36 of" in reasons["baselines.test-17.nearest_chip.nats_per_pixel"]
     images[0, 30:40, 30:40] = 0.1
-    dataset = dataset_of(GRID, views, images, looks=1.0, ground=True, score_margin=24)
     reasons.clear()
     assert baseline_scores(dataset, reasons)["test-17"]["nearest_chip"]["nats_per_pixel"] is not None
     assert not reasons
@@ -158,16 +156,10 @@ WIDE_M, HEIGHT_M = 10.0, 2.0
 def plate(texture: float) -> Gaussians:
     """A level square of thin Gaussians, whose γ⁰ changes by a factor from cell to cell."""
     places = np.stack(np.meshgrid(*[np.arange(-WIDE_M / 2, WIDE_M / 2, 0.15)] * 2), axis=-1).reshape(-1, 2)
-    count = len(places)
     chance = np.random.default_rng(0).choice([1.0, texture], (70, 70))
     gamma0 = chance[tuple(((places + WIDE_M / 2) / 0.9).astype(int).T)]
-    return Gaussians(
-        means=torch.tensor(np.column_stack([places, np.full(count, HEIGHT_M)]), dtype=torch.float32),
-        quaternions=torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(count, 1),
-        scales=torch.tensor([[0.15, 0.15, 0.02]]).repeat(count, 1),
-        optical_depth=torch.full((count,), 2.0),
-        scattering=Harmonics(torch.tensor(gamma0[:, None], dtype=torch.float32)),
-    )
+    means = np.column_stack([places, np.full(len(places), HEIGHT_M)])
+    return upright(means, [0.15, 0.15, 0.02], 2.0, gamma0[:, None])
 
 
 def run_of(gaussians: Gaussians, noise: float) -> Run:

@@ -29,6 +29,7 @@ from sarsplat.runs.run_folder import InMemory, RunFolder
 trimesh = pytest.importorskip("trimesh")
 
 SIZE = 64
+GRID = ImageGrid(SIZE, SIZE, (0.3, 0.3), (0.3, 0.3))
 CUBE = trimesh.creation.box((2, 2, 2), trimesh.transformations.translation_matrix((0, 0, 1)))
 ON_THE_TOP = np.stack([*(a.ravel() for a in np.meshgrid(*[np.linspace(-1, 1, 30)] * 2)), np.full(900, 2.0)], axis=1)
 WEIGHTS = Path(__file__).resolve().parents[3] / "shared" / "data" / "weights"
@@ -98,9 +99,8 @@ def make(tmp_path):
         if looks:
             speckle = np.random.default_rng(0).exponential(size=images.shape).astype(np.float32) + np.float32(1e-3)
             images *= np.where(np.array([clean_tests and s != "train" for s in splits])[:, None, None], 1, speckle)
-        grid = ImageGrid(SIZE, SIZE, (0.3, 0.3), (0.3, 0.3))
         fields = {"looks": looks, "clean_tests": clean_tests, "ground": ground, "score_margin": 24 if looks else 0}
-        made = dataset_of(grid, views, images, **fields)
+        made = dataset_of(GRID, views, images, **fields)
         return write_dataset(tmp_path / "dataset", made, truth_mesh=mesh, overwrite=True)
 
     return dataset
@@ -295,8 +295,7 @@ def test_weights_give_lpips(make):
 
 
 def only_training(path: Path, mesh) -> Dataset:
-    grid = ImageGrid(SIZE, SIZE, (0.3, 0.3), (0.3, 0.3))
-    return write_dataset(path, dataset_of(grid, [(View(0, 45), "train")], image(0)[None]), truth_mesh=mesh)
+    return write_dataset(path, dataset_of(GRID, [(View(0, 45), "train")], image(0)[None]), truth_mesh=mesh)
 
 
 def test_without_test_views_the_points_are_scored(tmp_path, make):  # make: coarse surfaces
@@ -318,7 +317,7 @@ def test_without_anything_unseen_the_run_itself_is_scored(tmp_path, mesh, points
         evaluate_run(run, points=False)
 
 
-@pytest.mark.parametrize("scale", [1e-45, 1e-38, 1e-30, 1e16])
+@pytest.mark.parametrize("scale", [1e-45, 1e-38, 1e16])
 @pytest.mark.parametrize("looks", [None, 1])
 def test_faint_and_strong_images_are_scored_without_a_warning_and_as_others_are(make, looks, scale):
     usual, scores = (

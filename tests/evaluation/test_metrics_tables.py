@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import pytest
 from rich.console import Console
 
+from made_runs import POINT_KEYS, make_metrics
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation import (
     IMAGE_METRICS,
@@ -21,23 +22,12 @@ from sarsplat.evaluation import (
 YARDSTICK = Yardstick(0.3)
 METRICS = all_metrics(YARDSTICK)
 IMAGE_KEYS = [metric.key for metric in IMAGE_METRICS]
-POINT_KEYS = [metric.key for metric in metrics_of_points(YARDSTICK)]
 
 
 def metrics(baselines=None, **images):
     """Metrics of a run in which everything not named is null."""
-    return {
-        "images": {name: {**dict.fromkeys(IMAGE_KEYS), **scores} for name, scores in images.items()},
-        "points": {
-            "visible": {**dict.fromkeys(POINT_KEYS), "cd_m": 0.0741, "f1@0.3": 0.9834, "f1@0.1": 0.7654},
-            "whole": dict.fromkeys(POINT_KEYS),
-        },
-        "mesh": {part: dict.fromkeys(POINT_KEYS) for part in ("visible", "whole")},
-        "baselines": baselines,
-        "truth": {"mesh": None},
-        "time_s": 61.7,
-        "seed": 0,
-    }
+    points = {"visible": {**dict.fromkeys(POINT_KEYS), "cd_m": 0.0741, "f1@0.3": 0.9834, "f1@0.1": 0.7654}}
+    return make_metrics() | {"images": images, "points": points, "baselines": baselines, "time_s": 61.7}
 
 
 def table(metrics, paper=None):
@@ -113,7 +103,6 @@ def test_a_baseline_that_wins_is_named():
     nats = "registered_nats_per_pixel"
     baselines = {split: {"nearest_chip": {nats: 0.573}, "rotated_average": {nats: 0.53}} for split in ("a", "b")}
     measured = metrics(baselines, a={nats: 0.55}, b={nats: 0.52}, c={nats: 0.9})
-    measured |= {"by_image": {split: {"metric": nats} for split in "abc"}, "parameters": {"yardstick_m": 0.3}}
     assert beaten_by_baselines(measured) == [
         "on the set a the baseline rotated average, which knows no third dimension, is better than sar-gs: negative "
         "log-likelihood, registered, nats/pixel 0.530 against 0.550"

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
-from made import FEW_POINTS, dataset_of
-from sarsplat import Gaussians, Harmonics, ImageGrid, Run, SarsplatError, View, render
+from made import FEW_POINTS, dataset_of, upright
+from sarsplat import ImageGrid, Run, SarsplatError, View, render
 from sarsplat.evaluation import Yardstick, all_metrics, metrics_of_points, point_metrics, visible_surface
 from sarsplat.evaluation.left_open import _middles, missing
 from sarsplat.evaluation.points import Alignment, align, first_of_voxels, surface_distance
@@ -28,14 +29,9 @@ def lattice(n: int, z: float = 0.0) -> np.ndarray:
 
 
 def brute_force(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    return np.array(
-        [
-            np.linalg.norm(
-                trimesh.triangles.closest_point(triangles, np.broadcast_to(p, (len(triangles), 3))) - p, axis=1
-            ).min()
-            for p in points
-        ]
-    )
+    every = np.repeat(points, len(triangles), axis=0)
+    nearest = trimesh.triangles.closest_point(np.tile(triangles, (len(points), 1, 1)), every)
+    return np.linalg.norm(nearest - every, axis=1).reshape(len(points), -1).min(axis=1)
 
 
 def test_a_plane_raised_by_a_known_height():
@@ -236,17 +232,17 @@ def test_strays_do_not_pull() -> None:
 
 
 def test_what_is_aloft_is_turned_about_all_axes() -> None:
-    rotation = pytest.importorskip("scipy.spatial.transform").Rotation
     for axis, name in enumerate("xyz"):
-        about = rotation.from_euler(name, 4.0, degrees=True).apply(surface(0))
+        about = Rotation.from_euler(name, 4.0, degrees=True).apply(surface(0))
         turns = np.zeros(3)
         turns[axis] = 4.0
         np.testing.assert_allclose(Alignment((0, 0, 0), turns[2], tilts_deg=tuple(turns[:2])).moved(surface(0)), about)
-    turned = rotation.from_rotvec([2.5, -3.0, 2.0], degrees=True).apply(surface(0)) + np.array([0.1, 0.2, -0.1])
+    turn = Rotation.from_rotvec([2.5, -3.0, 2.0], degrees=True)
+    turned = turn.apply(surface(0)) + np.array([0.1, 0.2, -0.1])
     motion, level = (align(turned, surface(1), 0.3, aloft=aloft) for aloft in (True, False))
     assert level.tilts_deg == (0.0, 0.0)
-    left = rotation.from_euler("xyz", [*motion.tilts_deg, motion.heading_deg], degrees=True)
-    assert np.degrees((left * rotation.from_rotvec([2.5, -3.0, 2.0], degrees=True)).magnitude()) < 1.0
+    left = Rotation.from_euler("xyz", [*motion.tilts_deg, motion.heading_deg], degrees=True)
+    assert np.degrees((left * turn).magnitude()) < 1.0
     assert "about x and y by" in str(motion) and "about x and y by" not in str(level)
     assert Alignment((0, 0, 0), 0.0, 0.9, (0.0, 5.0)).at_limit
 
@@ -254,17 +250,11 @@ def test_what_is_aloft_is_turned_about_all_axes() -> None:
 # ---- objects that images show and points lack ------------------------------------------------------------------------
 GRID = ImageGrid(64, 48, (0.25, 0.3), (0.25, 0.3))
 VIEWS = [View(azimuth, grazing) for grazing in (35.0, 50.0) for azimuth in range(0, 360, 40)]
-BALLS = torch.tensor([[-3.0, 0.0, 1.0], [3.0, 1.0, 2.0]])
+BALLS = np.array([[-3.0, 0.0, 1.0], [3.0, 1.0, 2.0]])
 
 
 def test_an_object_without_points_is_named_where_it_stands() -> None:
-    gaussians = Gaussians(
-        means=BALLS,
-        quaternions=torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(2, 1),
-        scales=torch.full((2, 3), 0.4),
-        optical_depth=torch.full((2,), 3.0),
-        scattering=Harmonics(torch.tensor([[1.0], [0.5]])),
-    )
+    gaussians = upright(BALLS, 0.4, 3.0, torch.tensor([[1.0], [0.5]]))
     images = render(gaussians, VIEWS, GRID).channel(0).numpy()
     speckled = images * np.random.default_rng(0).gamma(4.0, 0.25, images.shape).astype(np.float32)
     run = Run.from_gaussians(gaussians, dataset=dataset_of(GRID, [(view, "train") for view in VIEWS], speckled))
@@ -272,7 +262,7 @@ def test_an_object_without_points_is_named_where_it_stands() -> None:
     assert len(missing(run)) == 0
     vars(run)["points"] = run.points[run.points[:, 0] < 0]
     places = missing(run)
-    assert len(places) == 1 and np.linalg.norm(places[0] - BALLS[1].numpy()) < 1.0
+    assert len(places) == 1 and np.linalg.norm(places[0] - BALLS[1]) < 1.0
     assert "1 place" in left_open({"missing": places.tolist()})["missing"]
 
 

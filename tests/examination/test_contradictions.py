@@ -4,7 +4,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from made import dataset_of, lorry
-from sarsplat import Dataset, ImageGrid, ScatteringLaw, View, add_speckle, examine, simulate_raycast, write_dataset
+from sarsplat import Dataset, ImageGrid, View, add_speckle, examine, simulate_images, write_dataset
 from sarsplat.cli import main
 from sarsplat.data.orientation import SIDES, Layout, oriented
 from sarsplat.examination.orientation import edge_sides
@@ -25,17 +25,16 @@ trimesh = pytest.importorskip("trimesh")
 GRID = ImageGrid(40, 36, (0.4, 0.35), (0.5, 0.45))
 
 
+def ring(azimuths: range = range(0, 360, 30), grazing_deg: float = 30.0, *others: Any) -> tuple[View, ...]:
+    return tuple(View(float(azimuth), grazing_deg, *others) for azimuth in azimuths)
+
+
 @cache
 def simulated(
-    ground: float | None, grid: ImageGrid = GRID, scale: float = 1.0, azimuths: range = range(0, 360, 30)
+    ground: float | None, views: tuple[View, ...] = ring(), grid: ImageGrid = GRID, target: Callable[[], Any] = lorry
 ) -> Dataset:
-    mesh = lorry(scale=scale)
-    views = [View(float(azimuth), 30.0) for azimuth in azimuths]
-    images = [
-        simulate_raycast(mesh, view, grid, ScatteringLaw(), ground_gamma0=ground, ray_spacing=min(grid.spacing_m) / 5)
-        for view in views
-    ]
-    return dataset_of(grid, [(view, "train") for view in views], np.stack(images), ground=ground is not None)
+    images = simulate_images(target(), views, grid, ground_gamma0=ground, ray_spacing=min(grid.spacing_m) / 4)
+    return dataset_of(grid, [(view, "train") for view in views], images, ground=ground is not None)
 
 
 def speckled(dataset: Dataset, looks: float, seed: int) -> Dataset:
@@ -75,12 +74,10 @@ def only(dataset: Dataset) -> str:
     return text
 
 
-@pytest.mark.parametrize(("looks", "seed"), [(1, 0), (1, 1), (4, 0), (None, 0)])
-def test_what_is_right_passes(bare: Dataset, grounded: Dataset, looks: float | None, seed: int) -> None:
+@pytest.mark.parametrize("looks", [1, 4, None])
+def test_what_is_right_passes(bare: Dataset, grounded: Dataset, looks: float | None) -> None:
     for dataset in (bare, grounded):
-        if looks is not None:
-            dataset = speckled(dataset, looks, seed)
-        found = examine(dataset)
+        found = examine(dataset if looks is None else speckled(dataset, looks, 0))
         assert found.contradictions == []
         assert "as given" in found.checks["azimuths"]
 
@@ -144,7 +141,8 @@ def test_images_of_one_row_pass() -> None:
 
 
 def test_another_size_and_spacing(bare: Dataset) -> None:
-    ship = simulated(0.1, ImageGrid(40, 64, (8.0, 10.0), (12.0, 10.0)), scale=20, azimuths=range(0, 360, 24))
+    grid = ImageGrid(40, 64, (8.0, 10.0), (12.0, 10.0))
+    ship = simulated(0.1, ring(range(0, 360, 24)), grid, partial(lorry, scale=20))
     assert examine(speckled(ship, 1, 0)).contradictions == []
     assert "--near bottom --mirrored, or with --near bottom --counter-clockwise if" in only(
         imported(ship, Layout(), Layout("bottom", True))
@@ -167,11 +165,8 @@ def test_the_table_of_orientations(grounded: Dataset) -> None:
 
 def test_a_target_of_no_azimuth_is_undecided() -> None:
     """A cone looks the same from everywhere: no sense of the azimuths is right."""
-    cone = trimesh.creation.cone(2.0, 3.0, sections=720)
-    views = [View(float(azimuth), 40.0) for azimuth in range(0, 360, 30)]
-    power = np.stack([simulate_raycast(cone, view, GRID, ScatteringLaw(), ground_gamma0=0.05) for view in views])
-    dataset = dataset_of(GRID, [(view, "train") for view in views], power, ground=True)
-    dataset = speckled(dataset, 1, 3)
+    cone = partial(trimesh.creation.cone, 2.0, 3.0, sections=720)
+    dataset = speckled(simulated(0.05, ring(grazing_deg=40.0), target=cone), 1, 3)
     for changed in (dataset, with_azimuths(dataset, lambda azimuth: -azimuth)):
         examined = examine(changed)
         assert examined.contradictions == []
@@ -237,7 +232,7 @@ def test_ground_of_few_values_tells_no_unit(grounded: Dataset) -> None:
 
 
 def test_speckle_that_is_not_as_stated(grounded: Dataset) -> None:
-    for looks in (None, 1e8, 1e12, 1e18):
+    for looks in (None, 1e8, 1e18):
         assert "states no speckle; give the number of `looks`" in only(replace(speckled(grounded, 1, 2), looks=looks))
     assert "smoother than stated" in only(replace(grounded, looks=1.0))
 
@@ -262,7 +257,7 @@ def test_speckle_that_correlates_tells_the_resolution() -> None:
     from scipy.ndimage import gaussian_filter
 
     rng, grid = np.random.default_rng(0), ImageGrid(56, 48, (0.4, 0.35), (0.8, 0.7))
-    grounded = simulated(0.05, replace(grid, resolution_m=GRID.resolution_m))
+    grounded = simulated(0.05, grid=replace(grid, resolution_m=GRID.resolution_m))
     sigma = (0.0, *(np.sqrt(2) * width / 2.3548 / pixel for width, pixel in ((0.7, 0.35), (0.8, 0.4))))
     noise = [gaussian_filter(rng.normal(size=grounded.power.shape), sigma) for _ in range(2)]
     field = noise[0] ** 2 + noise[1] ** 2
@@ -290,7 +285,7 @@ def test_of_few_images_nothing_is_said(grounded: Dataset) -> None:
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("matplotlib")
     image = pytest.importorskip("PIL.Image")
-    few = simulated(0.05, azimuths=range(0, 360, 45))
+    few = simulated(0.05, ring(range(0, 360, 45)))
     write_dataset(tmp_path / "right", few)
     write_dataset(tmp_path / "wrong", with_power(few, few.power[:, ::-1]))
     sheet = tmp_path / "sheet.png"
@@ -310,8 +305,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
 @pytest.mark.parametrize(("first", "ground"), [(0, None), (1, 0.05), (70, 0.05)])
 def test_azimuths_that_do_count_degrees_pass(ground: float | None, first: int) -> None:
     """A sector in steps of a degree, from the nose or from the side."""
-    grid = ImageGrid(40, 40, (0.4, 0.35), (0.5, 0.45))
-    sector = simulated(ground, grid, azimuths=range(first, first + 36))
+    sector = simulated(ground, ring(range(first, first + 36)), replace(GRID, columns=40))
     dataset = replace(speckled(sector, 1, 0), source={"layout": asdict(Layout())})
     assert examine(dataset).contradictions == []
 
@@ -351,34 +345,21 @@ def test_what_is_dark_on_one_side_from_one_direction_may_lie_there() -> None:
 
 
 # ---- tilted and left-looking radars ----------------------------------------------------------------------------------
-KINDS: dict[str, Callable[[float], View]] = {
-    "tilted": lambda azimuth: View(azimuth, 30.0, 25.0),
-    "left and tilted": lambda azimuth: View(azimuth, 30.0, -20.0, "left"),
-}
-
-
-@cache
-def unusual(kind: str, ground: float | None = 0.05) -> Dataset:
-    """A lorry from such views."""
-    mesh, plain = lorry(), simulated(None)
-    views = [KINDS[kind](view.azimuth_deg) for view in plain.views]
-    how = {"law": ScatteringLaw(), "ground_gamma0": ground, "ray_spacing": 0.08}
-    power = np.stack([simulate_raycast(mesh, view, GRID, **how) for view in views])
-    return with_views(replace(plain, power=power, ground=ground is not None), views)
+TILTED, LEFT = ring(range(0, 360, 30), 30.0, 25.0), ring(range(0, 360, 30), 30.0, -20.0, "left")
 
 
 @pytest.mark.parametrize("ground", [None, 0.05])
-@pytest.mark.parametrize("kind", KINDS)
-def test_what_is_right_passes_of_unusual_views(kind: str, ground: float | None) -> None:
-    found = examine(unusual(kind, ground))
+@pytest.mark.parametrize("views", [TILTED, LEFT], ids=["tilted", "left and tilted"])
+def test_what_is_right_passes_of_unusual_views(views: tuple[View, ...], ground: float | None) -> None:
+    found = examine(simulated(ground, views))
     assert found.contradictions == []
     assert "as given" in found.checks["azimuths"]
     assert found.checks["near range"].startswith("at the top")
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_azimuths_in_the_other_sense_are_found_and_both_twins_are_right(kind: str) -> None:
-    seen = unusual(kind)
+@pytest.mark.parametrize("views", [TILTED, LEFT], ids=["tilted", "left and tilted"])
+def test_azimuths_in_the_other_sense_are_found_and_both_twins_are_right(views: tuple[View, ...]) -> None:
+    seen = simulated(0.05, views)
     wrong = with_views(seen, [replace(view, azimuth_deg=-view.azimuth_deg) for view in seen.views])
     assert "flip the columns (power[:, :, ::-1]) and negate the tilts if azimuths do run clockwise" in only(wrong)
     # the second remedy shows a mirrored target
@@ -391,11 +372,12 @@ def test_azimuths_in_the_other_sense_are_found_and_both_twins_are_right(kind: st
 
 
 def test_turned_images_are_found() -> None:
-    assert "near range is at the bottom" in only(with_power(unusual("tilted"), unusual("tilted").power[:, ::-1, ::-1]))
+    seen = simulated(0.05, TILTED)
+    assert "near range is at the bottom" in only(with_power(seen, seen.power[:, ::-1, ::-1]))
 
 
 def test_shadows_beside_the_target_are_not_taken_for_a_turned_image() -> None:
-    seen = unusual("tilted")
+    seen = simulated(0.05, TILTED)
     examined = examine(with_views(seen, [View(one.azimuth_deg, 50.0, 75.0) for one in seen.views]))
     assert "the azimuth axes are tilted too much" in examined.checks["orientation"]
 

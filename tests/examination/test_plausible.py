@@ -213,12 +213,6 @@ def test_the_conditioning_depends_on_neither_the_zero_of_azimuth_nor_the_order()
     assert weakest_direction(turned).conditioning == pytest.approx(weakest_direction(PAPER).conditioning)
 
 
-def test_more_grazing_angles_determine_better() -> None:
-    sets = [ring(8, 15), ring(8, 15, 30), ring(8, 15, 30, 60)]
-    found = [weakest_direction(views).conditioning for views in sets]
-    assert found == sorted(found, reverse=True)
-
-
 FLAT = [View.isar((math.cos(k), math.sin(k), 0.01), (0, 0, 1)) for k in range(6)]
 INCLINED = [View.isar((math.cos(k), 1.0, math.sin(k)), (0, 1, 0.0)) for k in range(6)]
 
@@ -337,7 +331,7 @@ def test_a_critically_sampled_reflector_is_true_wherever_it_is_in_its_pixel(refl
         assert found(unweighted(offset, reflector_db)) == []
 
 
-@pytest.mark.parametrize("level_db", [60.0, 120.0, 170.0])
+@pytest.mark.parametrize("level_db", [70.0, 180.0])
 def test_a_hot_pixel_is_named_among_critically_sampled_ones(level_db):
-    (said,) = found(changed(unweighted((0.2, 0.3), 10.0), (3, 11, 12), 10 ** ((level_db + 10) / 10)))
+    (said,) = found(changed(unweighted((0.2, 0.3), 10.0), (3, 11, 12), 10 ** (level_db / 10)))
     assert said.startswith("1 pixel of 1 image stands alone, such as row 11, column 12 of 003")

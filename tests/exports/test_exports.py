@@ -14,6 +14,8 @@ from sarsplat import Dataset, Place, SarsplatError, View, load_mesh, preset, rea
 from sarsplat.exports import FORMATS, export, format_of
 from sarsplat.runs import METHODS, Run, reconstruct
 
+laspy = pytest.importorskip("laspy")
+
 
 @pytest.fixture(scope="module")
 def run(small_box: Dataset) -> Run:
@@ -61,8 +63,6 @@ def test_points_are_read_by_trimesh(run: Run, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("ending", ["las", "laz"])
 def test_las_is_read_by_laspy(run: Run, tmp_path: Path, ending: str) -> None:
-    laspy = pytest.importorskip("laspy")
-    pytest.importorskip("lazrs")
     export(run, tmp_path / f"points.{ending}")
     read = laspy.read(tmp_path / f"points.{ending}")
     assert read.header.are_points_compressed == (ending == "laz")
@@ -79,7 +79,6 @@ def test_las_is_read_by_laspy(run: Run, tmp_path: Path, ending: str) -> None:
 
 
 def test_las_holds_targets_of_any_size(run: Run, tmp_path: Path) -> None:
-    laspy = pytest.importorskip("laspy")
     large = replace(run)
     large.__dict__.update(points=run.points * np.float32(1e6), normals=run.normals, points_gamma0=None)
     export(large, tmp_path / "large.las")
@@ -147,7 +146,6 @@ def test_other_methods_have_points_but_no_gaussians(small_box: Dataset, tmp_path
     for name in ("a.ply", "a.splat"):
         with pytest.raises(SarsplatError, match=r"was made by sar-nerf-grid, which learns no Gaussians; export its"):
             export(other, tmp_path / name)
-    pytest.importorskip("laspy")
     export(other, tmp_path / "a.las")
 
 

@@ -14,6 +14,8 @@ from sarsplat.cli import main
 from sarsplat.exports.format_geojson import rings_of
 from sarsplat.exports.georeference import MapSystem, usual_system, write_place
 
+laspy, pyproj = pytest.importorskip("laspy"), pytest.importorskip("pyproj")
+
 PLACES = {
     "north": (Place(45.29, 7.5, 312.0, 90.0), "EPSG:32632"),
     "south, turned": (Place(-33.9, 151.2, -12.0, 17.0), "EPSG:32756"),
@@ -48,7 +50,6 @@ def at(run: Run, place: Place | None) -> Run:
 
 @pytest.mark.parametrize(("place", "usual"), PLACES.values(), ids=PLACES)
 def test_las_holds_the_coordinates_of_a_map(anywhere: Run, tmp_path: Path, place: Place, usual: str) -> None:
-    laspy, pyproj = pytest.importorskip("laspy"), pytest.importorskip("pyproj")
     run = at(anywhere, place)
     assert usual in export(run, tmp_path / "a.las").summary
     read = laspy.read(tmp_path / "a.las")
@@ -69,7 +70,6 @@ def test_las_holds_the_coordinates_of_a_map(anywhere: Run, tmp_path: Path, place
 
 
 def test_las_may_be_in_another_system(anywhere: Run, tmp_path: Path) -> None:
-    laspy, pyproj = pytest.importorskip("laspy"), pytest.importorskip("pyproj")
     place = SWISS
     done = export(at(anywhere, place), tmp_path / "a.laz", crs="EPSG:2056")
     assert "CH1903+ / LV95 (EPSG:2056), heights above the WGS 84 ellipsoid (not the sea)" in done.summary
@@ -83,8 +83,6 @@ def test_las_may_be_in_another_system(anywhere: Run, tmp_path: Path) -> None:
 
 
 def test_heights_above_the_sea_are_not_said_to_be_ellipsoidal(anywhere: Run, tmp_path: Path) -> None:
-    laspy = pytest.importorskip("laspy")
-    pytest.importorskip("pyproj")
     done = export(at(anywhere, Place(47.3, 8.5, 420.0, height_above="sea level")), tmp_path / "a.las")
     assert done.summary.endswith("heights above sea level")
     header = laspy.read(tmp_path / "a.las").header
@@ -111,14 +109,12 @@ def test_heights_above_the_sea_are_not_said_to_be_ellipsoidal(anywhere: Run, tmp
 def test_places_refused(
     anywhere: Run, tmp_path: Path, name: str, place: Place | None, given: dict[str, Any], why: str
 ) -> None:
-    pytest.importorskip("pyproj")
     with pytest.raises(SarsplatError, match=why):
         export(at(anywhere, place), tmp_path / name, **given)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_system_that_is_not_for_the_place_is_warned_of(anywhere: Run, tmp_path: Path) -> None:
-    pytest.importorskip("pyproj")
     outside = r"EPSG:32636 .*is for longitudes 30° to 36° .* such as EPSG:32632"
     with pytest.warns(SarsplatWarning, match=outside) as caught:
         system = MapSystem.of(SWISS, "EPSG:32636")
@@ -144,7 +140,6 @@ def test_zones_are_those_of_utm() -> None:
 
 
 def test_maps_lead_back_to_the_scene(anywhere: Run) -> None:
-    pytest.importorskip("pyproj")
     for place, _ in PLACES.values():
         system = MapSystem.of(place)
         np.testing.assert_allclose(system.to_scene(system.to_map(anywhere.points)), anywhere.points, atol=1e-6)
@@ -220,7 +215,6 @@ def test_the_command_says_where_it_is(anywhere: Run, tmp_path: Path, capsys: pyt
 
 def test_a_file_of_gaussians_is_where_it_was_exported_from(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Also where it is moved to the origin, far from that of its scene."""
-    laspy, pyproj = pytest.importorskip("laspy"), pytest.importorskip("pyproj")
     place = Place(45.29, 7.5, 312.0, 20.0)
     gaussians = upright(np.array([[5000.0, 0.0, 0.0], [5000.5, 0.5, 0.5]]))
     write_gaussians_ply(tmp_path / "a.ply", gaussians)

@@ -137,21 +137,18 @@ def test_other_programs_see_decibels(tmp_path):
 
 @pytest.mark.parametrize("kind", SCATTERINGS)
 def test_threads_change_nothing(kind, threads):
-    generator = torch.Generator().manual_seed(0)
-    count = (
-        17_001  # more numbers than torch computes on one thread, and not a multiple of what a processor takes at once
-    )
+    g = generator()
+    count = 17_001  # more than torch computes on one thread, and not a multiple of what a processor takes at once
     law = SCATTERINGS[kind].initial(count, 0.5, 0.03)
-    start = law.parameters + torch.randn(law.parameters.shape, generator=generator)
-    directions = torch.nn.functional.normalize(torch.randn(8, 3, generator=generator), dim=1)
-    quaternions = torch.randn(count, 4, generator=generator)
-    scales = torch.rand(count, 3, generator=generator) + 0.1
-    cotangent = torch.randn(8, count, len(law.channels), generator=generator)
+    start = law.parameters + torch.randn(law.parameters.shape, generator=g)
+    u, quaternions = directions(8).float(), torch.randn(count, 4, generator=g)
+    scales = torch.rand(count, 3, generator=g) + 0.1
+    cotangent = torch.randn(8, count, len(law.channels), generator=g)
     found = []
     for threads_now in (1, 2, 3):
         threads(threads_now)
         leaves = start.clone().requires_grad_(), quaternions.clone().requires_grad_()
-        amplitudes = replace(law, parameters=leaves[0]).amplitudes(directions, leaves[1], scales)
+        amplitudes = replace(law, parameters=leaves[0]).amplitudes(u, leaves[1], scales)
         amplitudes.backward(cotangent)
         found.append([amplitudes.detach(), *(leaf.grad for leaf in leaves if leaf.grad is not None)])
     for others in found[1:]:
@@ -169,14 +166,8 @@ def test_laws_are_said_in_words() -> None:
 
 
 # ---- the basis of harmonics -----------------------------------------------------------------------------------------
-def test_lower_degrees_are_a_prefix():
-    u = directions()
-    for degree in range(3):
-        assert torch.equal(harmonic_basis(u, degree), harmonic_basis(u, 3)[:, : (degree + 1) ** 2])
-
-
 def test_signs_and_order():
-    """The table of 3DGS: degree 1 is (−y, z, −x); the Condon–Shortley sign (−1)^m throughout."""
+    """The table of 3DGS: degree 1 is (−y, z, −x); the Condon–Shortley sign (−1)^m throughout. Degrees are prefixes."""
     u = directions()
     x, y, z = u.T
     expected = [
@@ -191,6 +182,8 @@ def test_signs_and_order():
         *(1.445305721320277 * z * (x * x - y * y), -0.5900435899266435 * x * (x * x - 3 * y * y)),
     ]
     torch.testing.assert_close(harmonic_basis(u, 3), torch.stack(expected, dim=1), rtol=0, atol=1e-12)
+    for degree in range(3):
+        assert torch.equal(harmonic_basis(u, degree), harmonic_basis(u, 3)[:, : (degree + 1) ** 2])
 
 
 # ---- covariances between polarisations -------------------------------------------------------------------------------
@@ -198,20 +191,13 @@ NAMES = {2: ("HH", "VV"), 3: ("HH", "HV", "VV"), 4: ("HH", "HV", "VH", "VV")}
 
 
 def law(count: int, gaussians: int = 5, harmonics: int = 4) -> Polarimetric:
-    parameters = torch.randn(
-        gaussians, count**2 + harmonics, generator=torch.Generator().manual_seed(count), dtype=torch.float64
-    )
+    parameters = torch.randn(gaussians, count**2 + harmonics, generator=generator(count), dtype=torch.float64)
     return Polarimetric(parameters, 0.05, NAMES[count])
-
-
-def towards(count: int = 3) -> torch.Tensor:
-    u = torch.randn(count, 3, generator=torch.Generator().manual_seed(9), dtype=torch.float64)
-    return torch.nn.functional.normalize(u, dim=1)
 
 
 def amplitudes(of: Polarimetric) -> torch.Tensor:
     n = len(of.parameters)
-    return of.amplitudes(towards(), torch.zeros(n, 4).double(), torch.ones(n, 3).double())
+    return of.amplitudes(directions(3), torch.zeros(n, 4).double(), torch.ones(n, 3).double())
 
 
 @pytest.mark.parametrize("count", NAMES)

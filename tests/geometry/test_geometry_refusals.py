@@ -12,7 +12,7 @@ from sarsplat.samples.encoding import Encoding
 
 TURN, PLACE = Turn((0, 0, 1), 5.0), Place(1.0, 2.0, 3.0)
 NONE: list[object] = [
-    *("abc", None, (1.0, 2.0), [1, [2], 3], ["1", "2", "3"], [True, 1, 2], np.array(["a", "b", "c"])),
+    *("abc", None, (1.0, 2.0), [1, [2], 3], ["1", "2", "3"], np.array(["a", "b", "c"])),
     *(np.array([True, True, False]), np.array([1j, 0, 1]), np.array([None, 1, 2]), (0, 0, 0), (np.nan, 0, 1)),
 ]
 

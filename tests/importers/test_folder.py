@@ -48,21 +48,15 @@ def test_the_phase_is_kept(tmp_path, ending):
     assert "the numbers are complex" in made.source["assumptions"]
 
 
-def test_sixteen_bits_of_amplitude_are_relative_power(tmp_path):
+def test_sixteen_bits_of_amplitude_and_eight_of_decibels(tmp_path):
     amplitude = np.round(np.sqrt(POWER) * 9000).astype(np.uint16)
-    made = import_pictures(
-        write_pictures(tmp_path / "in", amplitude, ending="png"), quantity=None, calibration="relative"
-    )
+    decibels = np.round((10 * np.log10(POWER) + 20) * 255 / 40).astype(np.uint8)
+    folder = write_pictures(tmp_path / "in", amplitude, ending="png")
+    made = import_pictures(folder, quantity=None, calibration="relative")
     np.testing.assert_allclose(made.power, POWER / POWER.mean(), rtol=2e-3)
     assert "the numbers are amplitude" in made.source["assumptions"]
-
-
-def test_eight_bits_of_decibels(tmp_path):
-    decibels = np.round((10 * np.log10(POWER) + 20) * 255 / 40).astype(np.uint8)
-    made = import_pictures(
-        write_pictures(tmp_path / "in", decibels, ending="png"), quantity="db", scale=40 / 255, offset=-20
-    )
-    np.testing.assert_allclose(made.power, POWER, rtol=0.02)
+    write_pictures(folder, decibels, ending="png")
+    np.testing.assert_allclose(import_pictures(folder, quantity="db", scale=40 / 255, offset=-20).power, POWER, 0.02)
 
 
 def test_a_dataset_shows_one_class(tmp_path):
@@ -180,10 +174,8 @@ def test_a_row_goes_before_what_is_said_of_all(tmp_path):
     assert made.views[0].grazing_deg == 20
 
 
-def test_the_name_itself_goes_before_its_synonyms_and_a_table_may_be_named(tmp_path):
-    folder = write_pictures(tmp_path / "in", POWER, names="file,azimuth,az")
-    (folder / "other.csv").write_text("a\n1\n")
-    assert len(import_pictures(folder, table=folder / "angles.csv", grazing_deg=3)) == 4
+def test_the_name_itself_goes_before_its_synonyms(tmp_path):
+    assert len(import_pictures(write_pictures(tmp_path / "in", POWER, names="file,azimuth,az"), grazing_deg=3)) == 4
 
 
 def test_strays_are_counted_once(tmp_path):
@@ -346,25 +338,18 @@ def test_too_many_files_are_not_cut(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize(("column", "options"), [(["left"], {}), ([], {"mirrored": True})])
 def test_the_tilt_is_that_of_the_flight_however_a_left_look_is_said(tmp_path, column, options):
     rows = [[f"{k}.npy", azimuth, 30, 12, *column] for k, azimuth in enumerate(AZIMUTHS)]
-    names = "file,azimuth,grazing,tilt,look" if column else "file,azimuth,grazing,tilt"
-    folder = write_pictures(tmp_path / "in", POWER[..., ::-1], rows, names)
-    made = import_pictures(folder, **options)
+    names = "file,azimuth,grazing,tilt" + ",look" * len(column)
+    made = import_pictures(write_pictures(tmp_path / "in", POWER[..., ::-1], rows, names), **options)
     np.testing.assert_array_equal(made.power, POWER)
     assert {(view.tilt_deg, view.side) for view in made.views} == {(-12.0, "right")}
 
 
-def scaled_pictures(folder: Path, scale: tuple[float, float]) -> Path:
-    """TIFFs that say how far their pixels are apart, and nothing of a map."""
-    write_pictures(folder, POWER, [[f"{k}.tif", azimuth, 30] for k, azimuth in enumerate(AZIMUTHS)], ending="tif")
-    for k, power in enumerate(POWER):
-        tags = [(33550, "d", 3, (*scale, 0.0), True), (33922, "d", 6, (0.0,) * 6, True)]
-        tifffile.imwrite(folder / f"{k}.tif", power, metadata=None, extratags=tags)
-    return folder
-
-
 def test_the_spacing_of_tags(tmp_path):
     """Columns and rows, whichever of them is range; what is given and contradicts it is refused."""
-    folder = scaled_pictures(tmp_path / "in", (0.1, 0.3))
+    folder = write_pictures(tmp_path / "in", POWER, ending="tif")
+    for k, power in enumerate(POWER):  # tags that say how far pixels are apart, and nothing of a map
+        tags = [(33550, "d", 3, (0.1, 0.3, 0.0), True), (33922, "d", 6, (0.0,) * 6, True)]
+        tifffile.imwrite(folder / f"{k}.tif", power, metadata=None, extratags=tags)
     assert import_pictures(folder, spacing_m=None).grid.spacing_m == (0.1, 0.3)
     assert import_pictures(folder, spacing_m=None, near="left").grid.spacing_m == (0.3, 0.1)
     assert import_pictures(folder, spacing_m=(0.1, 0.3)).grid.spacing_m == (0.1, 0.3)
@@ -378,8 +363,6 @@ def test_pixels_without_data_are_said(tmp_path):
     holes[:, :2] = -9999
     for k, power in enumerate(holes):
         tifffile.imwrite(folder / f"{k}.tif", power, metadata=None, extratags=[(42113, "s", 0, "-9999", True)])
-    rows = (folder / "angles.csv").read_text().replace(".npy", ".tif")
-    (folder / "angles.csv").write_text(rows)
     with pytest.warns(SarsplatWarning) as told:
         made = import_pictures(folder)
     assert any("208 pixels hold what their files call no data" in str(one.message) for one in told)

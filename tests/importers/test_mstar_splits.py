@@ -266,11 +266,3 @@ def test_what_a_header_says_of_a_split_is_not_trusted() -> None:
         assert SplitSource.of("D7", {"split": {"name": "soc", "parts": [part | wrong]}}) is None
     for split in (None, 3, "soc", [], {"name": [], "parts": []}, {"name": "soc", "parts": ["a"]}, {"name": "own"}):
         assert SplitSource.of("D7", {"split": split}) is None
-
-
-def test_the_plan_is_one(tmp_path: Path) -> None:
-    from sarsplat.cli.import_mstar import _PLAN_TEXT
-    from sarsplat.sweeps.plan import Plan
-
-    (tmp_path / "sweep.toml").write_text(_PLAN_TEXT)
-    assert Plan.read(tmp_path / "sweep.toml").datasets == ("*",)

@@ -42,6 +42,8 @@ from rslcs import IMAGES, SWATHS, write_rslc
 from sarsplat import ScatteringLaw, add_speckle, simulate_raycast
 from sarsplat.data import read_terrain
 from sarsplat.errors import SarsplatError
+from sarsplat.examination import contradictions
+from sarsplat.examination.outcome import Examination
 from sarsplat.exports import MapSystem, export
 from sarsplat.gaussians import Gaussians, Harmonics
 from sarsplat.geometry import ImageGrid, Place, Terrain, View
@@ -56,6 +58,7 @@ _ARGUMENT = re.compile(r"`[a-z_]+(=[^`]*)?`|`[a-z_]+=|\w=(True|False|None|'\w+')
 Case = tuple[str, str, list[Any], dict[str, Any], dict[str, Any]]
 """Words of the sentence, names of columns, cells of a row after file and azimuth, options, and those of the remedy."""
 NEW, HEADING, TRACK = (f"file,{name},grazing" for name in ("azimuth", "heading", "track"))
+LEFT = {"look": "left"}
 FOLDERS: list[Case] = [
     ("names both", NEW + ",b", [30, 60], {"columns": {"grazing": "grazing", "inc": "b"}}, {"columns": {"inc": "b"}}),
     ("replaces the table", NEW, [30], {"names": "{azimuth}.npy"}, {"names": None}),
@@ -64,17 +67,11 @@ FOLDERS: list[Case] = [
     ("like the grazing", "file,azimuth,x", [30], {}, {"grazing_deg": 30.0}),
     ("like the grazing", "file,azimuth,x", [30], {}, {"columns": {"incidence": "x"}}),
     ("like the spacing", NEW, [30], {"spacing_m": None}, {"spacing_m": (0.1, 0.3)}),
-    (
-        "direction of flight",
-        TRACK,
-        [30],
-        {"columns": {"az": "track"}},
-        {"columns": {"heading": "track"}, "look": "left"},
-    ),
+    ("direction of flight", TRACK, [30], {"columns": {"az": "track"}}, {"columns": {"heading": "track"}, **LEFT}),
     ("north by its name", "file,north,grazing", [30], {"columns": {"az": "north"}}, {"azimuth_offset_deg": 0.0}),
     ("side to which the radar looks", HEADING, [30], {}, {"look": "right"}),
     ("to which side", HEADING + ",look", [30, ""], {}, {"look": "right"}),
-    ("run clockwise", HEADING, [30], {"look": "left", "counter_clockwise": True}, {"counter_clockwise": False}),
+    ("run clockwise", HEADING, [30], {**LEFT, "counter_clockwise": True}, {"counter_clockwise": False}),
     ("in the direction", NEW + ",heading,look", [30, 45, "left"], {}, {"columns": {"azimuth": "azimuth"}}),
     ("in the direction", NEW + ",heading,look", [30, 45, "left"], {}, {"columns": {"heading": "heading"}}),
     ("near range of", NEW + ",near_side", [30, "left"], {"near": "top"}, {"near": None}),
@@ -194,6 +191,8 @@ def test_remedies_work_when_followed(tmp_path: Path, monkeypatch: pytest.MonkeyP
     def folder(pixels: Any = POWER, *table: Any, **more: Any) -> Path:
         return write_pictures(Path(tempfile.mkdtemp(dir=tmp_path)) / "in", np.asarray(pixels), *table, **more)
 
+    examine = contradictions.examine
+    monkeypatch.setattr(contradictions, "examine", lambda dataset: Examination())  # where no sentence is of it
     for words, names, cells, options, remedy in FOLDERS:
         rows = [[f"{n}.npy", a, *(n if cell == "{k}" else cell for cell in cells)] for n, a in enumerate(AZIMUTHS)]
         made = folder(POWER, rows, names)
@@ -202,6 +201,7 @@ def test_remedies_work_when_followed(tmp_path: Path, monkeypatch: pytest.MonkeyP
         follow(words, partial(import_pictures, made), options, remedy)
     for pixels, wrong, right in ((10 * np.log10(POWER), "power", "db"), (POWER * 1e4, "db", "power")):
         follow("as (power|db);", partial(import_pictures, folder(pixels)), {"quantity": wrong}, {"quantity": right})
+    monkeypatch.setattr(contradictions, "examine", examine)
     given: dict[str, Any] = {"calibration": "relative", "resolution_m": None, "spacing_m": (0.3, 0.3)}
     rows = [[f"{n}.npy", 60 * n, 1000.0 ** -(n % 2)] for n in range(6)]
     for words, pixels, options, remedy in UNITS:
@@ -215,6 +215,7 @@ def test_remedies_work_when_followed(tmp_path: Path, monkeypatch: pytest.MonkeyP
         made = folder(mapped if on_maps else lorries, rows, f"file,{names}")
         given["resolution_m"], given["spacing_m"] = LORRY.resolution_m, (0.3, 0.3) if on_maps else LORRY.spacing_m
         follow(words, partial(import_pictures, made, **given), options, remedy)
+    monkeypatch.setattr(contradictions, "examine", lambda dataset: Examination())
     signals, two = folder(POWER * np.exp(1j * PHASE)), folder()
     stated, world = (folder(POWER, TIFFS, ending="tif") for _ in range(2))
     corners = folder(np.pad(POWER[:, 6:-6, 8:-8], [(0, 0), (6, 6), (8, 8)]))

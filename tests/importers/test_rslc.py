@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,6 @@ pytest.importorskip("h5py")
 import h5py
 
 from rslcs import IMAGES, RANGES, SPEED, SWATHS, TIMES, halves, write_rslc
-from sarsplat import preset, reconstruct
 from sarsplat.cli import main
 from sarsplat.data import Dataset, read_dataset
 from sarsplat.errors import SarsplatError
@@ -59,18 +57,14 @@ def test_cross_polarised_channels_become_their_mean(tmp_path):
     assert "coherence 0." in said
     made = imported(tmp_path, {"HH": QUAD["HH"], "HV": QUAD["HV"]})
     assert made.stacks[0].polarisations == ("HH", "VH")
-    run = reconstruct(imported(tmp_path), replace(preset("polarimetric"), iterations=2), quiet=True)
-    law: Any = run.gaussians.scattering
-    assert law.polarisations == ("HH", "HV", "VV")
 
 
 @pytest.mark.parametrize("look", ["Right", "Left"])
 def test_one_polarisation_is_a_plain_image(tmp_path, look):
+    several = imported(tmp_path, look=look, pixel=(21, 14), cross="both")
+    channel = several.stacks[0].polarisations.index("VH")  # received, transmitted
     made = imported(tmp_path, {"HV": QUAD["HV"]}, look=look, pixel=(21, 14))
     assert not made.stacks
-    several = imported(tmp_path, look=look, pixel=(21, 14), cross="both", calibration="absolute")
-    channel = several.stacks[0].polarisations.index("VH")  # received, transmitted
-    made = imported(tmp_path, {"HV": QUAD["HV"]}, look=look, pixel=(21, 14), calibration="absolute")
     np.testing.assert_array_equal(made.signal[0], several.signal[0, channel])
     assert made.grid == several.grid and made.views == several.views
     assert any("it has one, HV" in text for text in made.source["assumptions"])
@@ -179,10 +173,9 @@ def test_a_coarse_grid_may_fall(tmp_path):
 
 
 def test_images_that_were_never_written_are_named(tmp_path):
-    path = write_rslc(tmp_path / "quad.h5", QUAD)
+    path = write_rslc(tmp_path / "quad.h5", QUAD, {f"A/{name}": None for name in QUAD})
     with h5py.File(path, "a") as file:
         for name in QUAD:
-            del file[f"{IMAGES}/{name}"]
             file.create_dataset(f"{IMAGES}/{name}", (40, 30), "c8")
     with pytest.raises(SarsplatError, match=r"has no pixels of HH, HV, VH, VV in .*; it describes images"):
         import_rslc(path, tmp_path / "out", size_m=68.0)
@@ -198,7 +191,6 @@ def test_images_of_a_left_looking_radar_are_laid_out_as_those_of_a_right_looking
     ("changed", "options", "words"),
     [
         ({"zeroDopplerTimeSpacing": None}, {}, "has no science/LSAR/RSLC/swaths/zeroDopplerTimeSpacing; get it again"),
-        ({"Grid/slantRange": RANGES[0] - np.array([400.0, 200.0])}, {}, "slantRange from 799600 to 799800, but 800090"),
         ({"CenterFrequency": np.nan}, {}, "has no finite numbers as .*CenterFrequency"),
         ({"CenterFrequency": 3.0}, {}, "has 3.0 as .*CenterFrequency, not a number from 1e.08 to 1e.12"),
         ({"lookDirection": np.bytes_("up")}, {}, "says that its radar looks 'up', not left or right"),

@@ -17,7 +17,7 @@ pytest.importorskip("sarkit")
 
 import cphds
 import sicds
-from cphds import PLACE, Collection, arc, write_cphd
+from cphds import Collection, arc, write_cphd
 from fuzz import sentence_faults, watched
 from pulses import circle, record, write
 from sarsplat.cli import main
@@ -65,7 +65,6 @@ CPHD: list[tuple[Spoil | dict, str]] = [
     (lambda data: b"CPHD/0.3" + data[10:], "version '0.3.*get it as 1.0.1 or 1.1.0"),
     (lambda data: b"CRSD/1.0\n" + data, "is raw radar data .CRSD.*; get it as CPHD or SICD"),
     (lambda data: b"NITF02.10" + data, "a NITF file, not phase history; import it with `.*sarsplat import sicd`"),
-    (lambda data: cphds.xml_of(data), "is the metadata of a CPHD .XML., without its pulses"),
     (changed("^", BOMB + "]>"), "DOCTYPE|no XML"),
     (changed("^", '<!DOCTYPE a SYSTEM "file:///etc/passwd">'), "DOCTYPE"),
     (changed('exponent1="1"', 'exponent1="400000000"'), "exponent '400000000'"),
@@ -81,14 +80,11 @@ CPHD: list[tuple[Spoil | dict, str]] = [
     (changed("<ECF><X>[^<]*", "<ECF><X>9e9"), "the reference point of the scene: height_m"),
     (changed("<ImageArea>.*</ImageArea>", ""), "no valid ImageArea"),
     (changed("<CODId>c", "<CODId>e"), "no dwell times .CODTime."),
-    (changed("(<CODTimePoly.*?exponent2=.0.>)[^<]*", r"\g<1>1e5"), "no pulses saw all of the image"),
     ({"moved": np.tile([100.0, 0, 0], (40, 1))}, r"sent and received 1\.\d° apart .*bistatic"),
     ({"scaled": np.where(np.arange(40) == 7, np.nan, 1.0)}, "pulses whose AmpSF is impossible, such as nan"),
     ({"points": [((0.0, 0.0, 0.0), 1e12)]}, "holds a sample of .*, not finite or above"),
     ({"signal": np.zeros(40)}, "0 pulses with a signal"),
     *(({"domain": domain, "shift": np.linspace(0, 20, 40)}, "all have only .* in common") for domain in ("FX", "TOA")),
-    ({"swath": 1.0}, r"reaches from -?\d.* but the file shows -1\.0 m to 1\.0 m"),
-    ({"antenna": -ARC}, "not above"),
     ({"antenna": ARC[[*range(20), *range(18, 38)]]}, "turns back after pulse"),
     ({"stretch": -1.0}, "must be positive"),
 ]  # fmt: skip
@@ -148,12 +144,8 @@ def test_worlds_are_not_mixed(tmp_path):
     other = write(tmp_path / "b.mat", record(circle(np.linspace(-1, 1, 20)), [(0, 0, 0)]))
     for files, options, told in (
         ([placed, other], {}, "b.mat has no place on earth; import files"),
-        ([other], {"place": (PLACE.latitude_deg, PLACE.longitude_deg)}, "b.mat has no place on earth; leave out"),
-        ([other], {"channel": "HH"}, "b.mat has no channels .*; leave out"),
         ([placed], {"place": (95.0, 8.0)}, "latitude_deg 95.0 of a place on earth"),
-        ([placed], {"place": (47.0, 8.0)}, "shows 1000 m × 1000 m about"),
         ([placed], {"place": (47.0,)}, "must be a latitude, a longitude and, if need be, a height"),
-        ([placed], {"around_m": (1e308, 0.0, 0.0)}, "must be metres from the scene centre, at most 1e"),
     ):
         with pytest.raises(SarsplatError, match=told):
             import_phase_history(files, tmp_path / "out", size_m=4.0, **options)
@@ -172,8 +164,6 @@ MIDDLE = r"the middle of image\.nitf is `pixel=\(150, 140\)`, or `around=\(47\.3
         ({"around": (48.0, 8.5)}, f"another spot: {MIDDLE}"),
         ({"around": (-47.3, -171.0)}, f"does not show the spot .*; {MIDDLE}"),
         ({"pixel": (400.0, 10.0)}, r"is outside .* 300 rows and 280 columns, .*`pixel=\(150, 140\)`"),
-        ({"pixel": (1.0, 1.0), "around": (47.3, 8.5)}, "give one of them"),
-        ({"around": (147.3, 8.5)}, "latitude_deg 147.3 of a place on earth"),
         ({"heading_deg": 400.0}, "must be a compass heading"),
     ],
 )

@@ -140,8 +140,7 @@ def scene() -> Dataset:
     """A box on speckled ground."""
     trimesh = pytest.importorskip("trimesh")
     pytest.importorskip("embreex")
-    mesh = trimesh.creation.box((4.0, 2.5, 1.5))
-    mesh.apply_translation([0.5, 0, 0.75])
+    mesh = trimesh.creation.box((4.0, 2.5, 1.5)).apply_translation([0.5, 0, 0.75])
     power = simulate_images(mesh, VIEWS, GRID, ground_gamma0=0.05, ray_spacing=0.05)
     power = add_speckle(power, 1, np.random.default_rng(0))
     return dataset_of(GRID, [(view, "train") for view in VIEWS], power, looks=1.0, ground=True)
@@ -153,11 +152,12 @@ def gained(scene: Dataset) -> Dataset:
     return replace(scene, power=(scene.power * gains[:, None, None]).astype(np.float32))
 
 
-def test_images_of_one_scale_and_place_need_no_nuisances(scene: Dataset) -> None:
-    config = chosen(scene)
+def test_images_of_one_scale_and_place_need_no_nuisances_at_any_scale_of_all(scene: Dataset) -> None:
+    config = METHOD.preset("auto", scene)
     assert replace(config, evidence="") == PRESETS["scene"]
     assert "0 of 16 images displaced; too little, so neither gains nor shifts are learned" in config.evidence
-    assert METHOD.preset("auto", scene) == config
+    louder = replace(scene, power=1024 * scene.power)  # without rounding, which changes digits of the evidence
+    assert chosen(louder) == config
 
 
 def test_ground_of_large_scenes_starts_uniform_from_one_side(scene: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -207,21 +207,16 @@ def test_gains_count_from_a_quarter_decibel_and_displacements_that_images_do_not
     assert found.displaced == displaced and (found.nats < 0) == needed
 
 
-def test_the_scale_of_all_images_changes_no_choice(scene: Dataset) -> None:
-    louder = replace(scene, power=1024 * scene.power)  # without rounding, which changes digits of the evidence
-    assert chosen(louder) == chosen(scene)
-
-
 def test_a_small_target_in_large_images_is_still_small(scene: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(evidence, "_PIXELS", 28)  # so that the trial sees multilooked images
     assert replace(chosen(scene), evidence="") == PRESETS["scene"]
     assert chosen(gained(scene)).preset == "measured"
 
 
-@pytest.mark.parametrize("name", ["scene", "speckled", "quick"])
+@pytest.mark.parametrize("name", ["scene", "speckled"])
 def test_points_and_their_gamma0_follow_the_scale_of_all_images(scene: Dataset, name: str) -> None:
     # so few steps that the rounding of the scale, which grows from step to step, changes few points
-    short = replace(PRESETS[name], iterations=4, points=replace(PRESETS[name].points, voxel=0.1))
+    short = replace(PRESETS[name], iterations=4, points=replace(PRESETS[name].points, voxel=0.1, rays_per_pixel=4.0))
     quiet, loud = (
         reconstruct(replace(scene, power=scale * scene.power), short, quiet=True).reconstruction
         for scale in (np.float32(1), np.float32(1000))
@@ -234,7 +229,7 @@ def test_points_and_their_gamma0_follow_the_scale_of_all_images(scene: Dataset, 
 
 def test_gaussians_have_the_gamma0_of_the_images(scene: Dataset) -> None:
     """Also where the training had another unit."""
-    run = reconstruct(replace(scene, power=1000 * scene.power), replace(PRESETS["speckled"], iterations=20), quiet=True)
+    run = reconstruct(replace(scene, power=1000 * scene.power), replace(PRESETS["speckled"], iterations=10), quiet=True)
     assert run.gaussians is not None and run.snapshot.unit > 10
     expected = run.render(scene.views[:2])
     images = render(run.gaussians, scene.views[:2], scene.grid).images[:, 0]

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from made import dataset_of, upright
 from made_runs import assert_same, trained
-from sarsplat import Config, Dataset, Gaussians, ImageGrid, RayGrid, Run, SarsplatError, View, preset, reconstruct
+from sarsplat import Config, Dataset, Gaussians, ImageGrid, RayGrid, SarsplatError, View, preset, reconstruct
 from sarsplat.gaussians import MIN_SCALE, NormalLobes
 from sarsplat.gaussians.initialise import Region
 from sarsplat.learning import Trainer
@@ -161,30 +161,31 @@ def test_those_that_look_wrong_have_the_error(scene: Dataset, coarse: Config) ->
 # ---- a scene that is larger or smaller in every length is learned alike ----------------------------------------------
 SHORT = {"iterations": 30, "gaussians": 600, "harmonics_every": 10, "views_per_step": 4}
 DENSITY = Densification(start=5, every=10, gradient=3e-5, max_gaussians=900)
-CONFIGS = {
-    "default": replace(preset("default"), **SHORT, rates=Rates(means=0.067)),  # of longer steps rounding decides more
-    "paper": replace(preset("paper"), **SHORT, densification=DENSITY),
-    "measured": replace(preset("measured"), **SHORT),
-}
+DEFAULT = replace(preset("default"), **SHORT, rates=Rates(means=0.067))  # of longer steps rounding decides more
 
 
 def times(dataset: Dataset, factor: float, config: Config) -> Dataset:
     """The same images of a scene that is larger in every length; where it is said to show ground, a box is given."""
-    grid = dataset.grid
-    spacing, resolution = ((pair[0] * factor, pair[1] * factor) for pair in (grid.spacing_m, grid.resolution_m))
-    low, high = (tuple(factor * value for value in corner) for corner in ((-2.0, -1.5, 0.0), (2.0, 1.5, 1.5)))
-    grid = ImageGrid(grid.rows, grid.columns, spacing, resolution)
+    spacing, resolution, low, high = (
+        tuple(factor * value for value in values)
+        for values in (dataset.grid.spacing_m, dataset.grid.resolution_m, (-2.0, -1.5, 0.0), (2.0, 1.5, 1.5))
+    )
+    grid = ImageGrid(dataset.grid.rows, dataset.grid.columns, spacing, resolution)
     return replace(dataset, grid=grid, target_box_m=(low, high) if config.ground else None, truth_mesh=None)
 
 
-@pytest.fixture(scope="module", params=CONFIGS)
-def original(request: pytest.FixtureRequest, dataset: Dataset) -> Run:
-    return reconstruct(times(dataset, 1.0, CONFIGS[request.param]), CONFIGS[request.param], quiet=True)
-
-
-@pytest.mark.parametrize("factor", [10.0, 1 / 15])
-def test_a_scaled_scene_is_learned_alike(original: Run, dataset: Dataset, factor: float) -> None:
-    scaled = reconstruct(times(dataset, factor, original.config), original.config, quiet=True)
+@pytest.mark.parametrize(
+    ("config", "factor"),
+    [
+        (DEFAULT, 10.0),
+        (DEFAULT, 1 / 15),
+        (replace(preset("paper"), **SHORT, densification=DENSITY), 1 / 15),
+        (replace(preset("measured"), **SHORT), 10.0),
+    ],
+    ids=["default-larger", "default-smaller", "paper-smaller", "measured-larger"],
+)
+def test_a_scaled_scene_is_learned_alike(config: Config, factor: float, dataset: Dataset) -> None:
+    original, scaled = (reconstruct(times(dataset, size, config), config, quiet=True) for size in (1.0, factor))
     assert len(original.gaussians) > 600 or original.config.densification is None
     assert [line.gaussians for line in scaled.history] == [line.gaussians for line in original.history]
     losses, expected = (np.array([line.loss for line in run.history]) for run in (scaled, original))

@@ -50,7 +50,7 @@ def test_amplitude_loss_and_its_gradient_are_those_of_float64(shape, weight, how
     assert float((mine.grad - theirs.grad).norm() / theirs.grad.norm()) < 1e-5
 
 
-def test_the_slope_is_finite_at_zero() -> None:
+def test_the_slope_is_finite_at_zero_also_in_images_smaller_than_the_window_without_ssim() -> None:
     power = torch.zeros(1, 4, 4, requires_grad=True)
     amplitude_loss(power, torch.ones(1, 4, 4), 5.0, 0.0).backward()
     assert bool(torch.isfinite(power.grad).all())
@@ -60,10 +60,6 @@ def test_a_perfect_image_costs_nothing() -> None:
     truth = torch.rand(1, 32, 32, generator=torch.Generator().manual_seed(2))
     power = (truth + 1e-3) ** 2 - 1e-6  # whose softened amplitude is the truth
     assert float(amplitude_loss(power, truth**2, 1.0, 0.2)) == pytest.approx(0.0, abs=1e-5)
-
-
-def test_images_smaller_than_the_window_have_a_loss_without_ssim() -> None:
-    assert float(amplitude_loss(*pair(1, 10, 40), 1.0, 0.0)) > 0
 
 
 def test_it_takes_float64_as_it_is() -> None:
@@ -93,19 +89,14 @@ def test_speckle_likelihood_is_best_at_the_mean_intensity() -> None:
     assert float(levels[losses.argmin()]) == pytest.approx(float(intensity.mean()), abs=0.06)
 
 
-def test_speckle_of_a_target_alone_has_a_likelihood_where_the_image_is_black_and_in_any_unit() -> None:
+def test_speckle_of_a_target_alone_has_a_likelihood_where_the_image_is_black() -> None:
     power, _ = pair(2, 20, 20)
-    rendered = torch.where(power > power.median(), power, 0.0)
-    actual = []
-    for unit in (1.0, 1e-6, 1e6):
-        loss = named_loss(preset("speckled"), ImageScale(unit * float(power.max()), 1.0))
-        image = (unit * rendered).requires_grad_()
-        value = loss(image, unit * power)
-        value.backward()
-        assert (image.grad < 0)[(rendered == 0) & (power > 0)].all()  # what is missing is asked for
-        actual.append(value.item())
-        assert value > loss(unit * power, unit * power)
-    assert actual == pytest.approx([actual[0]] * 3, rel=1e-4)
+    rendered = torch.where(power > power.median(), power, 0.0).requires_grad_()
+    loss = named_loss(preset("speckled"), ImageScale(float(power.max()), 1.0))
+    value = loss(rendered, power)
+    value.backward()
+    assert (rendered.grad < 0)[(rendered == 0) & (power > 0)].all()  # what is missing is asked for
+    assert value > loss(power, power)
 
 
 def test_total_power_is_asked_for_of_each_image() -> None:
@@ -144,10 +135,8 @@ ONES = torch.ones(1, 4, 4)
         (lambda: amplitude_loss(ONES, torch.ones(1, 4, 5), 1.0, 0.0), r"truth is torch.float32 \(1, 4, 5\) on cpu; it"),
         (lambda: amplitude_loss(ONES, ONES.double(), 1.0, 0.0), r"truth is torch.float64 .* must be torch.float32 \(1"),
         (lambda: amplitude_loss(*pair(1, 10, 40), 1.0, 0.2), "SSIM needs images of at least 11 × 11 .* these have 10"),
-        *(
-            (lambda noise=noise: stack_nats(matrices(2), signals(matrices(2), 0.1), noise), "give a positive power")
-            for noise in (0.0, -1.0, math.nan)
-        ),
+        (lambda: stack_nats(matrices(2), signals(matrices(2), 0.1), 0.0), "give a positive power"),
+        (lambda: stack_nats(matrices(2), signals(matrices(2), 0.1), math.nan), "give a positive power"),
         (
             lambda: stack_nats(matrices(2), signals(matrices(2), 0.1).to(torch.complex64), 0.1),
             r"signals is torch.complex64 .* give torch.complex128 \(2, 2, 5, 7\)",
@@ -174,15 +163,15 @@ def test_numbers_may_be_tensors_and_none_is_refused() -> None:
 ROWS, COLUMNS = 5, 7
 
 
-def matrices(passes: int, seed: int = 0, dtype: torch.dtype = torch.complex128) -> torch.Tensor:
+def matrices(passes: int) -> torch.Tensor:
     """Covariances of a few scatterers: not of full rank without noise."""
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator().manual_seed(0)
     roots = torch.randn(2, ROWS, COLUMNS, passes, 2, generator=generator, dtype=torch.complex128)
-    return (roots @ roots.mH).permute(0, 3, 4, 1, 2).contiguous().to(dtype)
+    return (roots @ roots.mH).permute(0, 3, 4, 1, 2).contiguous()
 
 
-def signals(covariances: torch.Tensor, noise: float, seed: int = 1) -> torch.Tensor:
-    generator = torch.Generator().manual_seed(seed)
+def signals(covariances: torch.Tensor, noise: float) -> torch.Tensor:
+    generator = torch.Generator().manual_seed(1)
     passes = covariances.shape[1]
     factor = torch.linalg.cholesky(covariances.permute(0, 3, 4, 1, 2) + noise * torch.eye(passes))
     drawn = torch.randn(*factor.shape[:-1], 1, generator=generator, dtype=torch.complex128)
@@ -206,15 +195,6 @@ def test_it_is_that_of_a_circular_gaussian() -> None:
     assert float(stack_nats(c, y, noise)) == pytest.approx(expected, rel=1e-12)
     sample = torch.einsum("virc,vjrc->vijrc", y, y.conj())
     assert float(stack_nats(c, sample, noise)) == pytest.approx(expected, rel=1e-12)
-
-
-def test_the_truth_is_least_surprising() -> None:
-    c, noise = matrices(3), 0.1
-    c = c[:, :, :, :1, :1].expand(-1, -1, -1, 60, 60).contiguous()
-    y = signals(c, noise)
-    best = stack_nats(c, y, noise)
-    for other in (1.3 * c, 0.7 * c, matrices(3, 5)[:, :, :, :1, :1].expand_as(c)):
-        assert float(stack_nats(other, y, noise)) > float(best) + 0.02
 
 
 def test_its_gradient_is_the_closed_form() -> None:

@@ -24,9 +24,7 @@ NOISE = 0.05
 
 
 def block() -> trimesh.Trimesh:
-    mesh = trimesh.creation.box((3.0, 3.0, 2.0))
-    mesh.apply_translation((0.0, 0.0, 1.0))
-    return mesh
+    return trimesh.creation.box((3.0, 3.0, 2.0)).apply_translation((0.0, 0.0, 1.0))
 
 
 def dataset(offsets: tuple[float, ...] = (0.0,)) -> Dataset:
@@ -116,14 +114,8 @@ def test_a_resumed_run_is_the_same_for_any_number_of_threads(polarimetric, tmp_p
 def test_passes_and_polarisations_together():
     """Both are learned from; heights are within what phases tell."""
     both = dataset((0.0, 0.01))
-    nats: list[float] = []
-    run = reconstruct(
-        both,
-        replace(preset("polarimetric"), iterations=20, gaussians=1500),
-        quiet=True,
-        on_step=lambda step: nats.append(float(step.loss)),
-    )
-    assert nats[-1] < nats[0] - 3
+    run = reconstruct(both, replace(preset("polarimetric"), iterations=20, gaussians=1500), quiet=True)
+    assert run.history[-1].loss < run.history[0].loss - 3
     found = run.render_covariances(VIEWS[:1], both.stacks[0])[0]
     assert found.shape == (6, 6, GRID.rows, GRID.columns)
     values = np.linalg.eigvalsh(np.moveaxis(found, (2, 3), (0, 1)).astype(np.complex128))

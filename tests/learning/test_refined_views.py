@@ -41,13 +41,15 @@ CONFIG = replace(preset("measured"), **SHORT, points=FEW_POINTS)
 AROUND = np.arange(0, 360, 20)
 
 
+def boxes(*parts: tuple[Sequence[float], Sequence[float]]) -> trimesh.Trimesh:
+    """Mesh of boxes: sides and middles, m."""
+    return trimesh.util.concatenate([trimesh.creation.box(sides).apply_translation(at) for sides, at in parts])
+
+
 @pytest.fixture(scope="module")
 def images() -> np.ndarray:
     """Speckled ground with two long boxes, one across the end of the other, from all around."""
-    hull, tower = trimesh.creation.box((9.0, 1.5, 1.0)), trimesh.creation.box((1.5, 4.0, 1.5))
-    hull.apply_translation([0, 0, 0.5])
-    tower.apply_translation([-3, 0, 0.75])
-    mesh = trimesh.util.concatenate([hull, tower])
+    mesh = boxes(((9.0, 1.5, 1.0), (0, 0, 0.5)), ((1.5, 4.0, 1.5), (-3, 0, 0.75)))
     views = [View(azimuth, 35.0) for azimuth in AROUND]
     return add_speckle(simulate_images(mesh, views, GRID, ground_gamma0=0.1), 1, np.random.default_rng(0))
 
@@ -180,21 +182,13 @@ SIGHT = np.array([1.0, 0.4, 0.6])
 TRUE_AXES = (np.array([0.0, 0.1, 1.0]), np.array([1.0, 0.2, 0.1]))
 TILTS_DEG, FASTER = (3.0, -2.5), (0.03, -0.03)
 FRAMES = 12
-SPINNING = replace(preset("quick"), iterations=120, gaussians=900, points=FEW_POINTS, checkpoint_every=61)
-
-
-def body() -> trimesh.Trimesh:
-    """Boxes without any symmetry."""
-    boxes = (((5.0, 1.2, 0.8), (0, 0, 0)), ((0.8, 3.0, 0.3), (-1.6, 0.7, 0.3)), ((0.6, 0.6, 2.0), (1.4, 0.2, 1.2)))
-    parts = [trimesh.creation.box(sides) for sides, _ in boxes]
-    for part, (_, middle) in zip(parts, boxes, strict=True):
-        part.apply_translation(middle)
-    return trimesh.util.concatenate(parts)
+SPINNING = replace(preset("quick"), iterations=80, gaussians=600, points=FEW_POINTS, checkpoint_every=41)
 
 
 @pytest.fixture(scope="module")
 def frames() -> tuple[np.ndarray, list[View], list[Turn]]:
     """Images of two passes on pixels that were scaled by wrong rates and axes, true views, and what was assumed."""
+    body = boxes(((5, 1.2, 0.8), (0, 0, 0)), ((0.8, 3, 0.3), (-1.6, 0.7, 0.3)), ((0.6, 0.6, 2), (1.4, 0.2, 1.2)))
     images, true, turns = [], [], []
     for number, (axis, tilt_deg, faster) in enumerate(zip(TRUE_AXES, TILTS_DEG, FASTER, strict=True)):
         assumed = turned(axis, np.cross(axis, (0.3, 1.0, -0.7)), tilt_deg)
@@ -202,7 +196,7 @@ def frames() -> tuple[np.ndarray, list[View], list[Turn]]:
         stretch = (1 + faster) * float(sines[0] / sines[1])
         views = [Turn(tuple(axis), 360 * k / FRAMES).seen_from(SIGHT) for k in range(FRAMES)]
         grid = replace(SPUN, spacing_m=(0.3 / stretch, 0.3), resolution_m=(0.3 / stretch, 0.3))
-        images.append(simulate_images(body(), views, grid) / stretch)
+        images.append(simulate_images(body, views, grid) / stretch)
         true += [replace(view, stretch=stretch) for view in views]
         angles = [360 * k / FRAMES / (1 + faster) for k in range(FRAMES)]
         turns += [Turn(tuple(assumed), angle, 3.0, 0.03, f"pass {number}") for angle in angles]

@@ -70,7 +70,7 @@ def restless(dataset: Dataset, steps: int, snapshot: Snapshot | None = None) -> 
     return trained(dataset, CONFIG, steps, snapshot, strategies=[Restless()]).snapshot(0.0)
 
 
-@pytest.mark.parametrize("stop", [13, 14, 20])
+@pytest.mark.parametrize("stop", [13, 20])
 def test_it_goes_on_as_if_it_had_never_stopped(dataset: Dataset, tmp_path: Path, stop: int) -> None:
     whole = restless(dataset, 30)
     assert whole.tensors["strategy/Restless/changes"].min() > 10

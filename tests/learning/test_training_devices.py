@@ -22,7 +22,7 @@ from sarsplat.learning.parts.target import dropped, share_dropped
 from sarsplat.renderer.engines import cuda
 from sarsplat.runs import Step
 from sarsplat.settings.sections import Densification, Relocation
-from sarsplat.surface import cells, extract_points, first_returns
+from sarsplat.surface import extract_points
 
 DENSITY = Densification(
     start=4, stop=100, every=4, gradient=1e-4, split_above=0.16, max_extent=0.3, min_scattering=0.01, max_gaussians=300
@@ -229,16 +229,3 @@ def test_a_snapshot_goes_on_on_another_device(name: str, dataset: Dataset, monke
     assert other.step().device.type == "meta"
     assert {tensor.device.type for tensor in other.model.parameters.values()} == {"meta"}
     assert other.iteration == 2
-
-
-def test_points_of_cuda_are_the_cpus(
-    finished: Run, dataset: Dataset, library: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    views = dataset.select("train").views[:2]
-    how = finished.config.points
-    expected = extract_points(finished.gaussians, views, dataset.grid, how)
-    monkeypatch.setattr(first_returns, "render", partial(render_on, Emulator(library)))
-    monkeypatch.setattr(cells, "on_cpu", lambda tensor: False)  # all views at once, as on a GPU
-    actual = extract_points(finished.gaussians, views, dataset.grid, how)
-    assert len(actual) == len(expected) > 100
-    assert np.abs(actual - expected).max() < 1e-3

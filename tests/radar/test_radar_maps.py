@@ -160,6 +160,7 @@ def test_aloft_there_is_no_shadow_and_the_target_is_seen_from_below() -> None:
 # ---- the line of one azimuth and range, and who is on it -------------------------------------------------------------
 PIXELS = ImageGrid(32, 24, (0.3, 0.2), (0.4, 0.3), (0.5, -0.3))
 LOOK = View(70.0, 35.0)
+LOOKS = pytest.mark.parametrize("view", [LOOK, View(25.0, -40.0, 10.0, aloft=True, stretch=1.07)], ids=str)
 PIXEL = Pixel(11, 15)
 
 
@@ -174,13 +175,14 @@ def at(azimuth: float, elevation: float, slant_range: float) -> np.ndarray:
     return np.array([azimuth, elevation, slant_range]) @ radar_frame(LOOK)
 
 
-def test_every_place_on_the_line_is_in_the_pixel_and_its_ends_are_on_the_box():
+@LOOKS
+def test_every_place_on_the_line_is_in_the_pixel_and_its_ends_are_on_the_box(view):
     low, high = np.array([-3.0, -2.0, -1.0]), np.array([3.0, 2.5, 4.0])
-    ends = iso_range_line(LOOK, PIXELS, PIXEL, low, high)
-    azimuth, elevation, slant_range = radar_frame(LOOK) @ ends.T
+    ends = iso_range_line(view, PIXELS, PIXEL, low, high)
+    azimuth, slant_range = view.look.gradients @ ends.T
     assert np.allclose(azimuth, PIXELS.azimuth_m[15])
     assert np.allclose(slant_range, PIXELS.range_m[11])
-    assert elevation[0] < elevation[1]
+    assert np.diff(radar_frame(view)[1] @ ends.T) > 0
     assert ends[0, 2] < ends[1, 2]
     for end in ends:
         assert np.isclose(np.minimum(abs(end - low), abs(end - high)).min(), 0, atol=1e-9)
@@ -209,13 +211,14 @@ def test_two_scatterers_at_one_range_light_up_and_a_third_does_not():
     assert powers[2] == 0
 
 
-def test_the_contributions_add_up_to_the_pixel():
+@LOOKS
+def test_the_contributions_add_up_to_the_pixel(view):
     chance = np.random.default_rng(3)
     scene = balls(chance.uniform(-1.5, 1.5, (200, 3)))
     for count in (200, 1, 0):
-        image = render(scene[:count], [LOOK], PIXELS).channel(0)[0]
+        image = render(scene[:count], [view], PIXELS).channel(0)[0]
         for pixel in (PIXEL, Pixel(16, 12), Pixel(0, 0)):
-            parts = contributions(scene[:count], LOOK, PIXELS, pixel)
+            parts = contributions(scene[:count], view, PIXELS, pixel)
             assert parts.shape == (count,)
             assert float(parts.sum()) == pytest.approx(float(image[pixel.row, pixel.column]), rel=1e-4, abs=1e-7)
 

@@ -126,13 +126,13 @@ def facing(view: View, offsets: Tensor) -> Tensor:
     return (offsets.double() @ torch.from_numpy(radar_frame(view))).float()
 
 
-def _random(seed: int, *shape: int) -> Tensor:
+def random_normal(seed: int, *shape: int) -> Tensor:
     return torch.randn(*shape, generator=torch.Generator().manual_seed(seed))
 
 
 def some_dark(channels: int, count: int = 40) -> Tensor:
     """Amplitudes of either sign for three views; every seventh Gaussian is dark in every channel."""
-    amplitudes = _random(channels, 3, count, channels)
+    amplitudes = random_normal(channels, 3, count, channels)
     amplitudes[:, ::7] = 0.0
     return amplitudes
 
@@ -158,22 +158,22 @@ def _terrain(below_m: float, part: int = 1) -> Terrain:
 
 def _textured(height_m: float | Terrain) -> Ground:
     """Ground of twelve places, that returns less at small angles."""
-    return Ground(0.2 + 0.3 * _random(9, 3, 4).abs(), 0.9, height_m, torch.tensor(1.5))
+    return Ground(0.2 + 0.3 * random_normal(9, 3, 4).abs(), 0.9, height_m, torch.tensor(1.5))
 
 
 def _gradcheck(base: Gaussians, **more: object) -> Scene:
-    both, shift, gain = (VIEWS[0], VIEWS[2]), 0.1 * _random(1, 2, 2), torch.tensor([1.3, 0.7])
+    both, shift, gain = (VIEWS[0], VIEWS[2]), 0.1 * random_normal(1, 2, 2), torch.tensor([1.3, 0.7])
     return replace(Scene(base, both, FEW_PIXELS, FEW_RAYS, shift=shift, gain=gain), **more)
 
 
 GRADCHECK: dict[str, Callable[[], Scene]] = {
-    "occluded column": lambda: _gradcheck(replace(_column(), scattering=Harmonics(_random(2, 6, 1), 0.05))),
+    "occluded column": lambda: _gradcheck(replace(_column(), scattering=Harmonics(random_normal(2, 6, 1), 0.05))),
     "overlapping cloud, degree 3": lambda: _gradcheck(cloud(3, 3, size=(0.5, 0.5, 0.5), scale=0.2, kappa=(0.7, 2.0))),
     "opaque, peak weight": lambda: _gradcheck(
         cloud(4, 4, size=(0.4, 0.4, 0.6), scale=0.2, kappa=(2.0, 6.0), degree=1), imaging_weight="peak"
     ),
     "amplitudes given": lambda: _gradcheck(
-        cloud(4, 6, size=(0.5, 0.5, 0.5), scale=0.2, kappa=(0.5, 2.0)), amplitudes=0.5 + _random(3, 2, 4, 2).abs()
+        cloud(4, 6, size=(0.5, 0.5, 0.5), scale=0.2, kappa=(0.5, 2.0)), amplitudes=0.5 + random_normal(3, 2, 4, 2).abs()
     ),
     "on the ground": lambda: _gradcheck(
         cloud(3, 3, size=(0.5, 0.5, 0.5), scale=0.2, kappa=(0.7, 2.0), degree=0), ground=_textured(-0.3)
@@ -200,7 +200,7 @@ MATRIX: dict[str, Callable[[], Scene]] = {
     "one large, some small": lambda: Scene(_unequal(cloud(7, 52, scale=0.03)), views=VIEWS[:1]),
     "partly outside": lambda: Scene(cloud(60, 11, size=(8.0, 8.0, 2.0), scale=0.2), rays=RayGrid((0.2, 0.2))),
     "all outside": lambda: Scene(replace(cloud(20, 12), means=cloud(20, 12).means + torch.tensor([30.0, 0.0, 0.0]))),
-    "none": lambda: Scene(cloud(0, 0), shift=0.1 * _random(4, 3, 2)),
+    "none": lambda: Scene(cloud(0, 0), shift=0.1 * random_normal(4, 3, 2)),
     "one": lambda: Scene(cloud(1, 13, kappa=(1.0, 2.0))),
     "many views": lambda: Scene(
         cloud(20, 14),
@@ -212,13 +212,15 @@ MATRIX: dict[str, Callable[[], Scene]] = {
     "degree 0": lambda: Scene(cloud(40, 16, degree=0)),
     "degree 1": lambda: Scene(cloud(40, 17, degree=1)),
     "degree 2": lambda: Scene(cloud(40, 18, degree=2)),
-    "no least scattering": lambda: Scene(replace(cloud(40, 19), scattering=Harmonics(4 * _random(19, 40, 16)))),
-    "amplitudes given": lambda: Scene(cloud(40, 20), amplitudes=_random(5, 3, 40, 1).abs()),
-    "three channels": lambda: Scene(cloud(40, 20), amplitudes=_random(5, 3, 40, 3)),
+    "no least scattering": lambda: Scene(replace(cloud(40, 19), scattering=Harmonics(4 * random_normal(19, 40, 16)))),
+    "amplitudes given": lambda: Scene(cloud(40, 20), amplitudes=random_normal(5, 3, 40, 1).abs()),
+    "three channels": lambda: Scene(cloud(40, 20), amplitudes=random_normal(5, 3, 40, 3)),
     "five channels": lambda: Scene(cloud(40, 20), amplitudes=some_dark(5)),
     "sixteen channels": lambda: Scene(cloud(40, 20), grid=ODD, amplitudes=some_dark(16)),
     "peak weight": lambda: Scene(cloud(40, 23), imaging_weight="peak"),
-    "shift and gain": lambda: Scene(cloud(40, 44), shift=0.2 * _random(6, 3, 2), gain=torch.tensor([1.3, 0.2, 4.0])),
+    "shift and gain": lambda: Scene(
+        cloud(40, 44), shift=0.2 * random_normal(6, 3, 2), gain=torch.tensor([1.3, 0.2, 4.0])
+    ),
     "image off centre": lambda: Scene(cloud(40, 25), grid=replace(GRID, center_m=(0.37, -0.61))),
     "oblong pixels": lambda: Scene(cloud(40, 26), grid=ImageGrid(33, 17, (0.3, 0.11), (0.5, 0.2), (0.1, 0.0))),
     "oblong rays": lambda: Scene(cloud(40, 27), rays=RayGrid((0.05, 0.13))),
@@ -227,15 +229,17 @@ MATRIX: dict[str, Callable[[], Scene]] = {
     "one pixel": lambda: Scene(cloud(10, 29), grid=ImageGrid(1, 1, (0.2, 0.2), (0.5, 0.5))),
     "ground": lambda: Scene(cloud(40, 30), ground=Ground(torch.tensor(0.3), height_m=-0.55)),
     "ground of many levels": lambda: Scene(cloud(40, 31), ground=_textured(-0.55), gain=torch.tensor([1.3, 0.2, 4.0])),
-    "ground, shifted": lambda: Scene(cloud(40, 32), ground=_textured(-0.55), shift=0.2 * _random(6, 3, 2)),
+    "ground, shifted": lambda: Scene(cloud(40, 32), ground=_textured(-0.55), shift=0.2 * random_normal(6, 3, 2)),
     "ground in three channels": lambda: Scene(
-        cloud(40, 33), amplitudes=_random(5, 3, 40, 3), ground=Ground(torch.tensor(0.3), height_m=-0.55)
+        cloud(40, 33), amplitudes=random_normal(5, 3, 40, 3), ground=Ground(torch.tensor(0.3), height_m=-0.55)
     ),
     "terrain": lambda: Scene(cloud(40, 34), ground=Ground(torch.tensor(0.3), height_m=_terrain(0.55))),
-    "terrain, shifted": lambda: Scene(cloud(40, 35), ground=_textured(_terrain(0.55)), shift=0.2 * _random(6, 3, 2)),
-    "tilted or to the left": lambda: Scene(cloud(40, 36), UNUSUAL, shift=0.2 * _random(6, 3, 2)),
+    "terrain, shifted": lambda: Scene(
+        cloud(40, 35), ground=_textured(_terrain(0.55)), shift=0.2 * random_normal(6, 3, 2)
+    ),
+    "tilted or to the left": lambda: Scene(cloud(40, 36), UNUSUAL, shift=0.2 * random_normal(6, 3, 2)),
     "ground, tilted or to the left": lambda: Scene(
-        cloud(40, 37), UNUSUAL, ground=_textured(-0.55), shift=0.2 * _random(6, 3, 2)
+        cloud(40, 37), UNUSUAL, ground=_textured(-0.55), shift=0.2 * random_normal(6, 3, 2)
     ),
     "ground to the left": lambda: Scene(cloud(40, 38), UNUSUAL[1:2], ground=_textured(-0.55)),
     "terrain to the left": lambda: Scene(cloud(40, 39), UNUSUAL[1:2], ground=_textured(_terrain(0.55))),

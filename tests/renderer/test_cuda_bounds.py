@@ -10,7 +10,7 @@ import pytest
 import torch
 from compared import relative
 from emulated_cuda import SCHEDULES, Emulator, guarded, render_on, without_barrier
-from named_scenes import GRID, MATRIX, VIEWS, Scene, changed, cloud
+from named_scenes import GRID, MATRIX, VIEWS, Scene, changed, cloud, random_normal
 from test_cpu_engine import everything as all_of
 from torch import Tensor
 
@@ -153,10 +153,6 @@ RAYS = RayGrid((0.11, 0.07))
 ORIGINS = ((-3.0, -2.0), (-2.0, -0.4), (0.0, 0.0), (1.0, -0.3))
 
 
-def random(seed: int, *shape: int) -> Tensor:
-    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed))
-
-
 @pytest.fixture
 def new_pass(library: Path) -> NewPass:
     return partial(cuda.Pass, Emulator(library))
@@ -182,11 +178,11 @@ def of_ground(new_pass: NewPass | None, shifted: bool, chosen: Sequence[int] | N
         for v in which
     ]
     left = torch.cat(parts).requires_grad_()
-    shift = (0.2 * random(1, 4, 2))[list(which)].to(dtype).requires_grad_()
+    shift = (0.2 * random_normal(1, 4, 2))[list(which)].to(dtype).requires_grad_()
     views = STEEP if chosen is None else ChosenViews(STEEP, torch.tensor(chosen))
     rays = RayEnds(left, SIZES, ORIGINS)
     found = lit_ground(rays, views, LIT, RAYS, 0.3, shift if shifted else None, new_pass)
-    seeds = random(2, len(STEEP), LIT.rows, LIT.columns)[list(which)].to(dtype)
+    seeds = random_normal(2, len(STEEP), LIT.rows, LIT.columns)[list(which)].to(dtype)
     d_left, *d_shift = torch.autograd.grad((found * seeds).sum(), [left, shift] if shifted else [left])
     own = d_left.split([len(part) for part in parts])
     d_ends = {f"d ends {v}": part[: len(ends[v])] for v, part in zip(which, own, strict=True)}

@@ -2,7 +2,6 @@
 
 import ctypes
 import logging
-import shutil
 import sys
 import threading
 import time
@@ -314,12 +313,3 @@ def test_where_nvrtc_is_looked_for(platform, wheel, inside_torch, system, tmp_pa
     monkeypatch.setattr(torch, "__file__", str(tmp_path / "torch" / "__init__.py"))
     monkeypatch.setattr(torch.version, "cuda", "13.0")
     assert module._candidates() == [*own, other, Path(system + ending[1])]
-
-
-def test_a_check_that_cannot_be_kept(passed, cache_folder):
-    shutil.rmtree(cache_folder)
-    cache_folder.touch()
-    with pytest.warns(SarsplatWarning, match="cannot be kept") as told:
-        assert [passed(), passed()] == ["", ""]
-    assert len(told) == 1
-    assert passed.count == 2

@@ -17,7 +17,6 @@ from torch import Tensor
 
 from sarsplat import Gaussians, Ground, ScatteringLaw, simulate_images, simulate_raycast
 from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.radar.iso_range import Pixel, contributions, iso_range_line
 from sarsplat.renderer import Rendering, render
 from sarsplat.renderer.echoes import GroundEcho
 from sarsplat.renderer.engines import cuda
@@ -104,21 +103,6 @@ def test_plane_gradients_are_those_of_centres() -> None:
     looks = [view.look for view in VIEWS]
     rays, pixels = (torch.from_numpy(np.stack(axes)) for axes in zip(*((k.frame[:2], k.gradients) for k in looks)))
     assert relative(means.grad, (of_rays @ rays + of_pixels @ pixels).sum(0)) <= 1e-5
-
-
-def test_a_pixel_lies_on_the_line_that_is_imaged_there() -> None:
-    ends = iso_range_line(VIEWS[0], GRID, Pixel(7, 4), np.full(3, -5.0), np.full(3, 5.0))
-    assert ends is not None
-    places = VIEWS[0].look.gradients @ ends.T
-    assert np.allclose(places, np.array(Pixel(7, 4).place_m(GRID))[:, None], atol=1e-9)
-
-
-def test_contributions_to_a_pixel_add_up_to_it() -> None:
-    scene = cloud(40, 2)
-    image = render(scene, VIEWS[:1], GRID).images[0, 0]
-    row, column = divmod(int(image.argmax()), GRID.columns)
-    shares = contributions(scene, VIEWS[0], GRID, Pixel(row, column))
-    assert float(shares.sum()) == pytest.approx(float(image[row, column]), rel=1e-4)
 
 
 # ---- tilted or to the left: symmetry, ground, and ray casting as a witness -------------------------------------------

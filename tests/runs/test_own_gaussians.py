@@ -38,7 +38,7 @@ def test_a_run_in_memory_is_saved_with_its_scores_and_resumed(dataset: Dataset, 
     assert np.array_equal(again.render(VIEWS), held.render(VIEWS))
     assert again.history == held.history
     assert again.dataset.fingerprint() == dataset.fingerprint()
-    resumed = reconstruct(dataset, short, tmp_path / "run", resume=True, quiet=True)
+    resumed = reconstruct(dataset, out=tmp_path / "run", resume=True, quiet=True)  # with its settings
     assert torch.equal(resumed.gaussians.means, reconstruct(dataset, short, quiet=True).gaussians.means)
     with pytest.raises(SarsplatError, match="run already exists"):
         held.save(tmp_path / "run")

@@ -36,15 +36,14 @@ def dataset() -> Dataset:
     pytest.importorskip("embreex")
     from sarsplat import ScatteringLaw, simulate_raycast
 
-    box = trimesh.creation.box(SIDES)
-    box.apply_translation([0, 0, SIDES[2] / 2])
+    box = trimesh.creation.box(SIDES).apply_translation([0, 0, SIDES[2] / 2])
     images = np.stack([simulate_raycast(box, view, GRID, ScatteringLaw()) for view in VIEWS])
     return dataset_of(GRID, [(view, "train") for view in VIEWS], images)
 
 
 @pytest.fixture(scope="module")
 def config() -> Config:
-    return replace(preset("quick"), iterations=36, gaussians=600, tiles=2, checkpoint_every=12, points=FEW_POINTS)
+    return replace(preset("quick"), iterations=24, gaussians=600, tiles=2, checkpoint_every=12, points=FEW_POINTS)
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +54,7 @@ def finished(dataset: Dataset, config: Config, tmp_path_factory: pytest.TempPath
 def test_nothing_is_lost_or_doubled_at_the_seams(finished: Run, dataset: Dataset, config: Config) -> None:
     """Tiles meet near the middle, in the shape of a cross: there is as much as where the whole is learned at once."""
     whole = reconstruct(dataset, replace(config, tiles=1), quiet=True)
-    assert finished.iteration == whole.iteration == 36
+    assert finished.iteration == whole.iteration == 24
     rendered, expected = (run.render(VIEWS) ** 0.5 for run in (finished, whole))
     truth = dataset.power**0.5
     assert ((rendered - truth) ** 2).mean() < 1.1 * ((expected - truth) ** 2).mean()
@@ -78,19 +77,19 @@ def test_a_stopped_one_resumes_to_the_bit(finished: Run, dataset: Dataset, confi
 
     def stop(step: Any) -> None:
         steps.append(step.iteration)
-        if len(steps) in (6, 39, 40, 60):  # of the whole; of the second tile, twice; of the last one
+        if len(steps) in (6, 27, 28, 39):  # of the whole; of the second tile, twice; of the last one
             raise RuntimeError("stopped")
 
     for _ in range(4):
         with pytest.raises(RuntimeError, match="stopped"):
             reconstruct(dataset, config, out, on_step=stop, quiet=True, resume=out.exists())
-    assert steps.count(36) == 3  # finished tiles are kept
+    assert steps.count(24) == 3  # finished tiles are kept
     assert (out / "tiles").is_dir()
     resumed = reconstruct(dataset, config, out, quiet=True, resume=True)
     assert_same(resumed.snapshot, finished.snapshot)
     np.testing.assert_array_equal(resumed.points, finished.points)
     assert not (out / "tiles").exists()
-    assert [line.iteration for line in resumed.history][-1] == 36
+    assert [line.iteration for line in resumed.history][-1] == 24
 
 
 def test_threads_and_folders_make_no_difference(finished: Run, dataset: Dataset, config: Config, threads: Any) -> None:
@@ -111,7 +110,7 @@ def test_more_iterations_make_no_more_gaussians(dataset: Dataset, config: Config
     how, out = replace(config, tiles=tiles), tmp_path / "run"
     counts = [
         len(reconstruct(dataset, replace(how, iterations=n), out, quiet=True, resume=out.exists()).gaussians)
-        for n in (36, 60, 90)
+        for n in (24, 40, 60)
     ]
     assert max(counts) <= counts[0] * 1.02
     assert counts[-1] > 0.9 * counts[0]
@@ -155,7 +154,7 @@ def test_processes_make_the_same_bits(
     run = reconstruct(stored, config, tmp_path / "run", executor="local", means=Means(processes=2))
     assert_same(run.snapshot, finished.snapshot)
     np.testing.assert_array_equal(run.points, finished.points)
-    assert run.history[-1].iteration == 36
+    assert run.history[-1].iteration == 24
     assert not (tmp_path / "run" / "tiles").exists()
     assert "4 tiles, by other processes" in capsys.readouterr().out
 
@@ -191,7 +190,7 @@ def test_a_cluster_makes_the_same_bits(
     )
     assert_same(run.snapshot, finished.snapshot)
     assert [last for _, last in steps] == [False] * (len(steps) - 1) + [True]
-    assert steps[-1][0] < 36
+    assert steps[-1][0] < 24
 
 
 def test_tiles_go_on_whoever_began(

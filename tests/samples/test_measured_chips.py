@@ -13,7 +13,7 @@ from chip_files import write_chips
 from made import dataset_of
 from sarsplat import ImageGrid, SarsplatError, SarsplatWarning, View, import_folder, import_mstar, write_dataset
 from sarsplat.cli import main
-from sarsplat.data import read_dataset, read_masks
+from sarsplat.data import read_dataset
 from sarsplat.names import ChipScale, Side
 from sarsplat.samples import Encoding, write_measured_chips
 
@@ -25,6 +25,11 @@ ROWS = [
     for azimuth in (0, 90, 180, 270)
 ]
 ROWS += [(name, serial, 15, azimuth) for name, serial in (("T72", "SN_132"), ("BMP2", "9563")) for azimuth in (5, 95)]
+
+
+def table(out: Path) -> list[dict[str, str]]:
+    with (out / "labels.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
 
 
 @pytest.fixture
@@ -47,8 +52,7 @@ def test_a_folder_of_each_set_and_class_and_one_table(datasets: list[Path], tmp_
     folders = sorted(path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").glob("*/*"))
     assert folders == ["test-15/BMP2", "test-15/T72", "train/BMP2", "train/T72"]
     assert written.counts == {("train", "T72"): 4, ("train", "BMP2"): 4, ("test-15", "T72"): 2, ("test-15", "BMP2"): 2}
-    with (tmp_path / "out" / "labels.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = table(tmp_path / "out")
     assert len(rows) == 12
     assert all((tmp_path / "out" / row["path"]).is_file() for row in rows)
     (unplaced,) = [row for row in rows if not row["azimuth_deg"]]
@@ -64,12 +68,11 @@ def test_a_folder_of_each_set_and_class_and_one_table(datasets: list[Path], tmp_
 
 def test_pixels_are_the_published_ones_scaled_and_cut_alike(datasets: list[Path], tmp_path: Path) -> None:
     write_measured_chips(datasets, tmp_path / "out", Encoding(format="png", crop=10))
-    with (tmp_path / "out" / "labels.csv").open(newline="") as file:
-        for row in csv.DictReader(file):
-            published = np.asarray(Image.open(tmp_path / "chips" / row["name"]), np.float64)
-            expected = np.maximum(published, 2)[3:13, 3:13]
-            stored = np.asarray(Image.open(tmp_path / "out" / row["path"]), np.float64)
-            np.testing.assert_allclose(stored, 255 * expected / expected.max(), atol=0.51)
+    for row in table(tmp_path / "out"):
+        published = np.asarray(Image.open(tmp_path / "chips" / row["name"]), np.float64)
+        expected = np.maximum(published, 2)[3:13, 3:13]
+        stored = np.asarray(Image.open(tmp_path / "out" / row["path"]), np.float64)
+        np.testing.assert_allclose(stored, 255 * expected / expected.max(), atol=0.51)
     npy = write_measured_chips(datasets, tmp_path / "npy", Encoding(format="npy", quantity="power", scale="calibrated"))
     assert npy.size == (16, 16)
     dataset = read_dataset(datasets[0])
@@ -123,20 +126,17 @@ def test_labels_say_what_is_unusual_about_views(tmp_path: Path) -> None:
     )
     write_dataset(tmp_path / "data", dataset)
     write_measured_chips([tmp_path / "data"], tmp_path / "out", Encoding())
-    with (tmp_path / "out" / "labels.csv").open(newline="") as file:
-        level, tilted = csv.DictReader(file)
+    level, tilted = table(tmp_path / "out")
     assert (level["tilt_deg"], level["look"]) == ("0.0", "right")
     assert (tilted["tilt_deg"], tilted["look"]) == ("5.0", "left")
 
 
 @pytest.mark.parametrize(("scale", "near"), [("max", "bottom"), ("fixed", "left")])
 def test_magnitudes_of_chips_scaled_alone(datasets: list[Path], tmp_path: Path, scale: ChipScale, near: Side) -> None:
-    write_measured_chips(datasets, tmp_path / "out", Encoding(scale=scale, jpeg_quality=100, near=near))
-    with (tmp_path / "out" / "labels.csv").open(newline="") as file:
-        scales = {row["path"]: row["dn_per_magnitude"] for row in csv.DictReader(file)}
-    assert (len(set(scales.values())) > 1) == (scale == "max")
+    out, labels = tmp_path / "out", tmp_path / "out" / "labels.csv"
+    write_measured_chips(datasets, out, Encoding(scale=scale, jpeg_quality=100, near=near))
+    assert (len({row["dn_per_magnitude"] for row in table(out)}) > 1) == (scale == "max")
     measured = read_dataset(datasets[1])
-    labels, out = tmp_path / "out" / "labels.csv", tmp_path / "out"
     again = import_mstar(out, tmp_path / "a", labels=labels, target_class="BMP2", train_views="all", split="soc")
     folder = import_folder(out, tmp_path / "b", target_class="BMP2")
     assert again.splits() == measured.splits()
@@ -172,10 +172,8 @@ def test_chips_without_azimuth_travel_with_their_dataset(datasets: list[Path], t
     read = read_dataset(datasets[0])
     write_dataset(tmp_path / "copy", read)
     assert (tmp_path / "copy/unplaced/0000.tif").read_bytes() == (datasets[0] / "unplaced/0000.tif").read_bytes()
-    assert write_measured_chips([tmp_path / "copy"], tmp_path / "a", Encoding()).counts == {
-        ("train", "T72"): 4,
-        ("test-15", "T72"): 2,
-    }
+    counts = write_measured_chips([tmp_path / "copy"], tmp_path / "a", Encoding()).counts
+    assert counts == {("train", "T72"): 4, ("test-15", "T72"): 2}
     with pytest.warns(SarsplatWarning, match="left out 1 chip without azimuth of T72"):
         write_dataset(tmp_path / "brighter", replace(read, power=2 * read.power))
     with pytest.warns(SarsplatWarning, match="differ from those in its folder"):
@@ -184,15 +182,3 @@ def test_chips_without_azimuth_travel_with_their_dataset(datasets: list[Path], t
         assert "unplaced" not in read_dataset(tmp_path / name).source
     assert "unplaced" not in written.source
     assert write_measured_chips([tmp_path / "train"], tmp_path / "b", Encoding()).counts == {("train", "T72"): 3}
-
-
-def test_masks_travel_with_their_dataset(tmp_path: Path) -> None:
-    power = np.ones((2, 8, 8), np.float32)
-    dataset = dataset_of(
-        ImageGrid(8, 8, (0.2, 0.2), (0.3, 0.3)), [(View(0.0, 30.0), "train"), (View(9.0, 30.0), "test")], power
-    )
-    masks = np.arange(128, dtype=np.uint8).reshape(2, 8, 8) % 3
-    write_dataset(tmp_path / "one", dataset, masks=masks)
-    again = write_dataset(tmp_path / "two", read_dataset(tmp_path / "one"))
-    found = read_masks(tmp_path / "two" / "masks", again, again.splits())
-    assert np.array_equal([found[0], found[1]], masks)

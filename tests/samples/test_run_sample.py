@@ -42,15 +42,15 @@ def test_view_and_seed_say_all(run: Run) -> None:
 @pytest.mark.parametrize("scatterers", ["inf", "2.5"])
 def test_on_average_it_is_what_is_rendered(run: Run, scatterers: str) -> None:
     """Over patches, for the response of the mean image is widened."""
-    mean, expected = of_power(run, 80, scatterers=scatterers).mean(0), run.render([VIEW])[0]
+    mean, expected = of_power(run, 60, scatterers=scatterers).mean(0), run.render([VIEW])[0]
     patches = [image.reshape(4, 8, 4, 9).mean((1, 3)) for image in (mean, expected)]
     assert patches[0] == pytest.approx(patches[1], rel=0.15)
 
 
 def test_speckle_has_the_power_of_what_it_is_on(run: Run) -> None:
-    clean = of_power(run, 60, speckle="none")
+    clean = of_power(run, 40, speckle="none")
     for speckle in ("response", "white"):
-        ratio = of_power(run, 60, speckle=speckle) / clean
+        ratio = of_power(run, 40, speckle=speckle) / clean
         assert ratio.mean() == pytest.approx(1, abs=0.03)
         assert ratio.std() == pytest.approx(1, abs=0.05)
 
@@ -89,9 +89,9 @@ def test_noise_and_brighter_ground_before_a_target_are_speckle(run: Run) -> None
     faint, grid = altered(run, scattering=1e-4, optical_depth=30.0), run.grid
     for ground in ("learned", 100 * np.ones((grid.rows, grid.columns), np.float32)):
         draws = [Sampler(faint, 0, grid, ground, "response", scatterers) for scatterers in (math.inf, 0.3)]
-        levels = [np.log([np.abs(draw(VIEW, seed)) ** 2 for seed in range(80)]).mean(0) for draw in draws]
+        levels = [np.log([np.abs(draw(VIEW, seed)) ** 2 for seed in range(50)]).mean(0) for draw in draws]
         off = (levels[0] - levels[1])[10:24, 12:22].reshape(7, 2, 5, 2).mean((1, 3))  # and in its shadow
-        assert np.abs(off).mean() < 0.15  # chance makes 0.1
+        assert np.abs(off).mean() < 0.18  # chance makes 0.13
 
 
 def test_gaussians_smaller_than_pixels_keep_their_power(run: Run) -> None:

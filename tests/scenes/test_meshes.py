@@ -68,15 +68,6 @@ def test_faces_of_vertices_that_there_are_not_are_refused(tmp_path, face):
         load_mesh(path)
 
 
-def test_gaussians_in_a_glb_are_named(tmp_path):
-    scene = json.dumps({"asset": {"version": "2.0"}, "extensionsUsed": ["KHR_gaussian_splatting"]}).encode()
-    scene += b" " * (-len(scene) % 4)
-    head = struct.pack("<4sIIII", b"glTF", 2, 20 + len(scene), len(scene), int.from_bytes(b"JSON", "little"))
-    (tmp_path / "a.glb").write_bytes(head + scene)
-    with pytest.raises(SarsplatError, match=r"a\.glb' holds Gaussians"):
-        load_mesh(tmp_path / "a.glb")
-
-
 def glb(path: Path, *primitives: dict, **more: object) -> Path:
     """A square of four corners around each primitive, 1 m by 1 m, and then one of a hidden node."""
     corners = np.array([[0, 0, 0], [0, 0, 1], [1, 0, 1], [1, 0, 0]], "<f4")
@@ -106,6 +97,8 @@ def test_fans_are_read_and_hidden_nodes_left_out(tmp_path, indices):
 
 
 def test_extensions_that_a_glb_needs_are_named(tmp_path):
+    with pytest.raises(SarsplatError, match=r"a\.glb' holds Gaussians"):
+        load_mesh(glb(tmp_path / "a.glb", {}, extensionsUsed=["KHR_gaussian_splatting"]))
     needed = ["KHR_materials_unlit", "EXT_mesh_gpu_instancing"]
     with pytest.raises(SarsplatError, match="needs EXT_mesh_gpu_instancing, which is not read; export it without"):
         load_mesh(glb(tmp_path / "a.glb", {}, extensionsRequired=needed))
@@ -203,11 +196,10 @@ def test_ears_cover_what_an_outline_encloses_wherever_it_begins(outline, area, b
         assert crossed == 0
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_ears_cover_outlines_of_any_shape(seed):
+def test_ears_cover_outlines_of_any_shape():
     """Stars with random arms, some hundred corners, all at once."""
-    generator = np.random.default_rng(seed)
-    angle = np.sort(generator.uniform(0, 2 * np.pi, (4, 150)), axis=1)
+    generator = np.random.default_rng(0)
+    angle = np.sort(generator.uniform(0, 2 * np.pi, (10, 150)), axis=1)
     radius = generator.uniform(0.05, 10, angle.shape)
     outlines = np.stack([radius * np.cos(angle), radius * np.sin(angle), 0 * angle], axis=2)
     triangles, crossed = triangulated(outlines)
@@ -280,17 +272,6 @@ def test_far_too_many_corners_are_refused_at_once(tmp_path):
     (tmp_path / "comb.obj").write_text(comb + f"f {' '.join(str(k + 1) for k in range(3002))}\n")
     with pytest.raises(SarsplatError, match=r"comb\.obj' has 1 concave faces with 3,002 corners"):
         load_mesh(tmp_path / "comb.obj")
-
-
-def test_files_without_such_faces_are_read_as_before(tmp_path):
-    vertices = "".join("v {} {} {}\n".format(*v) for v in trimesh.creation.box((4, 2, 1)).vertices)
-    (tmp_path / "box.obj").write_text(vertices + "f 1 2 4 3\nf 5 7 8 6\nf 1 5 6 2\nf 3 4 8 7\nf 1 3 7 5\nf 2 6 8 4\n")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        mesh = load_mesh(tmp_path / "box.obj")
-    whole = [[0, 1, 3], [4, 6, 7], [0, 4, 5], [2, 3, 7], [0, 2, 6], [1, 5, 7]]  # as trimesh orders halves of quads
-    np.testing.assert_array_equal(mesh.faces[:6], whole)
-    assert mesh.area == pytest.approx(28)
 
 
 # ---- random points of a surface, as trimesh draws them ---------------------------------------------------------------

@@ -88,17 +88,6 @@ def test_a_point_target_has_the_side_lobes_of_the_response():
     assert image[80, 86] == pytest.approx(0.1 * image[80, 80], rel=0.01)
 
 
-@pytest.mark.parametrize(("grazing", "shadow"), [(15.0, (0.5, 9.0)), (45.0, (0.5, 3.7)), (75.0, None)])
-def test_free_ground_is_exact_and_full_shadow_dark(grazing, shadow):
-    slab = box((-0.2, 0), (-6, 6), (0, 6))  # its shadow: slant range 0 to height·cosθ / tanθ, less its layover
-    image = simulate_raycast(slab, View(0, grazing), GRID, CONSTANT, ground_gamma0=0.2)
-    free = 0.2 * math.tan(math.radians(grazing))
-    np.testing.assert_allclose(image[:, :8], free, rtol=1e-6)
-    if shadow:
-        dark = (GRID.range_m > shadow[0]) & (GRID.range_m < shadow[1])
-        assert image[dark][:, 24:40].max() < 1e-3 * free
-
-
 @BELOW
 def test_what_lies_below_the_ground_is_not_seen():
     buried = box((-2, 2), (-2, 2), (-3, -1))
@@ -138,8 +127,8 @@ def amplitude(mesh, view, **settings):
 @pytest.mark.parametrize(
     ("view", "settings", "least_db"),
     [
-        *((View(*angles), {"ray_offset": (0.0, 0.0)}, 65) for angles in ((0, 15), (45, 45), (330, 75), (90, 75))),
-        *((View(*angles), {"ray_offset": (0.2, 0.7)}, 65) for angles in ((0, 15), (45, 45), (330, 75), (90, 75))),
+        *((View(*angles), {"ray_offset": (0.0, 0.0)}, 65) for angles in ((0, 15), (45, 45), (330, 75))),
+        (View(90, 75), {"ray_offset": (0.2, 0.7)}, 65),
         (View(45, 45), {"oversample": 27}, 80),
     ],
 )

@@ -1,6 +1,5 @@
 """Simulated images and stacks, from either source of truth, on several views at once."""
 
-import json
 import math
 import threading
 import time
@@ -18,7 +17,7 @@ from sarsplat.scenes._parallel import in_order
 from sarsplat.scenes.mechanisms import MATRICES
 from sarsplat.scenes.meshes import scaled
 from sarsplat.scenes.raycast import default_ray_spacing
-from sarsplat.scenes.simulate import simulate_images, simulation_record
+from sarsplat.scenes.simulate import simulate_images
 
 GRID = ImageGrid(36, 36, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3))
 VIEWS = [View(20.0, 45.0), View(140.0, 30.0)]
@@ -34,20 +33,6 @@ def test_both_sources_show_the_same_target() -> None:
     assert rays.dtype == splats.dtype == np.float32
     np.testing.assert_allclose(splats.sum(axis=(1, 2)), rays.sum(axis=(1, 2)), rtol=0.02)
     assert np.corrcoef(np.sqrt(rays).ravel(), np.sqrt(splats).ravel())[0, 1] > 0.999
-
-
-def test_both_sources_stand_on_the_same_ground() -> None:
-    rays = simulate_images(BOX, VIEWS, GRID, source="raycast", ground_gamma0=0.2)
-    splats = simulate_images(BOX, VIEWS, GRID, source="splat", ground_gamma0=0.2)
-    for view, ray, splat in zip(VIEWS, rays, splats, strict=True):
-        level = 0.2 * np.tan(np.radians(view.grazing_deg))
-        free = np.abs(ray / level - 1) < 1e-3
-        assert free.sum() > 100
-        assert splat[free].mean() == pytest.approx(level, rel=0.002)
-        shadow, dark = ray < 0.05 * level, splat < 0.2 * level
-        assert shadow.sum() > 20
-        assert dark[shadow].mean() > 0.95
-        assert np.corrcoef(np.sqrt(ray).ravel(), np.sqrt(splat).ravel())[0, 1] > 0.99
 
 
 def test_a_scene_twenty_times_as_large_has_the_same_images() -> None:
@@ -67,15 +52,6 @@ def test_rays_follow_from_the_resolution_but_miss_no_small_target() -> None:
     image = simulate_images(speck, VIEWS[:1], wide, law=ScatteringLaw(1.0, 0.0))[0]
     area = np.abs(speck.face_normals @ VIEWS[0].direction) @ speck.area_faces / 2  # projected, of a convex body
     assert image.sum() * 0.3**2 == pytest.approx(area, rel=0.02)
-
-
-@pytest.mark.parametrize("source", ["raycast", "splat"])
-def test_the_record_is_json_and_says_the_law(source: str) -> None:
-    law = ScatteringLaw(0.2, 0.5)
-    record = simulation_record(source=source, law=law, ground_gamma0=None, ray_spacing=0.02, seed=3)  # type: ignore[arg-type]
-    assert json.loads(json.dumps(record)) == record
-    assert ScatteringLaw(**record["law"]) == law
-    assert (record["kind"], record["seed"]) == (source, 3)
 
 
 # ---- speckle ---------------------------------------------------------------------------------------------------------
@@ -111,9 +87,9 @@ def drawn(mesh: trimesh.Trimesh, count: int, stack: Stack = STACK, grid: ImageGr
     return np.stack([simulate_stack(mesh, VIEW, grid, stack, LAW, seed=k, **settings) for k in range(count)])
 
 
-@pytest.mark.parametrize("grid", [FINE, ImageGrid(30, 28, (0.5, 0.6), (0.7, 0.8), response=TAYLOR)])
-def test_power_is_that_of_the_ray_caster(grid: ImageGrid) -> None:
+def test_power_is_that_of_the_ray_caster() -> None:
     """Means over draws, and over blocks of pixels."""
+    grid = ImageGrid(30, 28, (0.5, 0.6), (0.7, 0.8), response=TAYLOR)
     powers = (np.abs(drawn(box(), 24, grid=grid, ground_gamma0=0.4)) ** 2).mean(0)
     expected = simulate_raycast(box(), VIEW, grid, LAW, ground_gamma0=0.4)
     for power in powers:

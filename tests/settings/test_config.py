@@ -4,6 +4,7 @@ import json
 import math
 import pydoc
 from dataclasses import fields, replace
+from operator import attrgetter
 from typing import Any
 
 import pytest
@@ -75,16 +76,15 @@ def test_wrong_values_are_refused_in_a_short_sentence(path: str, value: Any, all
     assert "\n" not in message
 
 
-@pytest.mark.parametrize("path", ["p_min", "rates.means", "densification.every", "surroundings"])
-def test_absent_settings_take_their_defaults(path: str) -> None:
+@pytest.mark.parametrize(
+    ("path", "default"), [("p_min", 0.03), ("rates.means", 0.15), ("densification.every", 500), ("surroundings", None)]
+)
+def test_absent_settings_take_their_defaults(path: str, default: object) -> None:
     """As in files from before there were these settings."""
     data = changed(path, 1)
     *groups, name = path.split(".")
     del (data[groups[0]] if groups else data)[name]
-    read = Config.from_dict(data)
-    for key in path.split("."):
-        read = getattr(read, key)
-    assert read == {"p_min": 0.03, "rates.means": 0.15, "densification.every": 500, "surroundings": None}[path]
+    assert attrgetter(path)(Config.from_dict(data)) == default
 
 
 @pytest.mark.parametrize("data", [None, 3, [], "text"])

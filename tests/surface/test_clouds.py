@@ -38,6 +38,8 @@ def test_every_cluster_that_outshines_speckle_is_kept_and_others_are_named() -> 
     assert bright(points, high, 0.3, np.ones(1), means, [sections[3:]], said.append)[:120].all()
     assert bright(points, high, 0.3, np.zeros(4), means, [sections], said.append).all()  # on a dark mirror
     assert not bright(points, ~high, 0.3, np.ones(4), means, [sections], said.append).any()
+    none = np.empty((0, 3))
+    assert bright(none, high[:0], 0.3, np.ones(0), none, [], print).shape == largest(none, 0.3, 10).shape == (0,)
 
 
 def test_the_brightest_speckle_grows_with_the_ground_the_grazing_angle_and_the_number_of_cells() -> None:
@@ -47,36 +49,21 @@ def test_the_brightest_speckle_grows_with_the_ground_the_grazing_angle_and_the_n
     assert brightest_speckle_m2(0.05, [View(0, 45)], replace(GRID, rows=2 * GRID.rows)) > level
 
 
-def test_where_there_is_no_point_there_is_no_cluster() -> None:
-    none = np.empty((0, 3))
-    assert (
-        largest(none, 0.3, 10).shape == bright(none, np.zeros(0, bool), 0.3, np.ones(0), none, [], print).shape == (0,)
-    )
-
-
 # ---- seen from above: which layer counts, and by what weight ---------------------------------------------------------
-ONE = np.zeros((1, 2), np.int64)
-
-
-def mean_of(heights: list[float], upward: list[float], values: list[float] | None = None, gap: float = 0.5) -> float:
-    pixel = np.repeat(ONE, len(heights), axis=0)
-    return float(uppermost(pixel, (1, 1), np.array(heights), np.array(upward), values and np.array(values), gap)[0, 0])
-
-
-def test_a_roof_counts_and_the_wall_below_it_does_not() -> None:
-    wall = list(np.arange(0, 5, 0.1))
-    assert mean_of([*wall, 5.0, 5.2], [0.05] * len(wall) + [0.9, 0.9]) == pytest.approx(5.1)
-
-
-def test_what_is_below_a_gap_is_not_seen() -> None:
-    assert mean_of([0.0, 0.1, 3.0, 3.1], [1, 1, 1, 1]) == pytest.approx(3.05)
-    assert mean_of([0.0, 0.4, 0.8], [1, 1, 1]) == pytest.approx(0.4)  # a slope without a gap
-
-
-def test_means_are_by_the_area_seen_from_above_and_of_walls_alone_by_number() -> None:
-    assert mean_of([1.0, 1.3], [1.0, 0.5]) == pytest.approx(1.1)
-    assert mean_of([1.0, 1.2], [0.0, -0.1]) == pytest.approx(1.1)
-    assert mean_of([0.0, 2.0], [1.0, 1.0], [8.0, 3.0]) == 3.0  # another value of the uppermost
+@pytest.mark.parametrize(
+    ("heights", "upward", "values", "expected"),
+    [
+        ([*np.arange(0, 5, 0.1), 5.0, 5.2], [0.05] * 50 + [0.9] * 2, None, 5.1),  # a roof, not the wall below it
+        ([0.0, 0.1, 3.0, 3.1], [1, 1, 1, 1], None, 3.05),  # what is below a gap is not seen
+        ([0.0, 0.4, 0.8], [1, 1, 1], None, 0.4),  # a slope without a gap
+        ([1.0, 1.3], [1.0, 0.5], None, 1.1),  # by the area seen from above
+        ([1.0, 1.2], [0.0, -0.1], None, 1.1),  # of walls alone by number
+        ([0.0, 2.0], [1.0, 1.0], np.array([8.0, 3.0]), 3.0),  # another value of the uppermost
+    ],
+)
+def test_the_mean_of_a_pixels_uppermost_layer(heights, upward, values, expected) -> None:
+    pixel = np.zeros((len(heights), 2), np.int64)
+    assert uppermost(pixel, (1, 1), np.array(heights), np.array(upward), values, 0.5).item() == pytest.approx(expected)
 
 
 def test_points_outside_do_not_count_and_pixels_without_any_have_no_data() -> None:

@@ -16,8 +16,7 @@ from made import hill
 from sarsplat import Gaussians, ImageGrid, Terrain, View, extract_points
 from sarsplat.learning.strategies.growth import holding
 from sarsplat.learning.strategies.ops import whole_sums
-from sarsplat.scenes import surface_gaussians, target_mesh
-from sarsplat.scenes import village as made_village
+from sarsplat.scenes import surface_gaussians, target_mesh, village
 from sarsplat.settings.sections import PointExtraction
 from sarsplat.surface import cells, first_returns, neighbours, normals, points
 from sarsplat.surface.mesh import surface_mesh
@@ -62,20 +61,14 @@ def with_haze(gaussians: Gaussians, count: int, reach_m: float) -> Gaussians:
 def scenes() -> dict[str, Scene]:
     pytest.importorskip("trimesh")
     vehicle = surface_gaussians(target_mesh("t72"), 0.4)[0]
+    houses = surface_gaussians(village(20.0, edge_m=4.0), 1.0)[0]
     grid, how = ImageGrid(64, 64, (0.3, 0.3), (0.3, 0.3)), PointExtraction(rays_per_pixel=2.0, voxel=0.4)
     return {
         "vehicle": Scene(with_haze(vehicle, 300, 5.0), grid, how),
         "on a hill": Scene(vehicle, grid, how, hill()),
         "seen often": Scene(vehicle, grid, replace(how, seen_by=3)),
+        "village": Scene(with_haze(houses, 200, 7.0), grid, PointExtraction(rays_per_pixel=1.0, voxel=1.0)),
     }
-
-
-@pytest.fixture
-def village() -> Scene:
-    """20 m of it."""
-    gaussians = surface_gaussians(made_village(20.0, edge_m=4.0), 1.0)[0]
-    how = PointExtraction(rays_per_pixel=1.0, voxel=1.0)
-    return Scene(with_haze(gaussians, 200, 7.0), ImageGrid(64, 64, (0.3, 0.3), (0.3, 0.3)), how)
 
 
 @pytest.fixture
@@ -84,8 +77,10 @@ def elsewhere(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
     return lambda: monkeypatch.setattr(cells, "on_cpu", lambda tensor: False)
 
 
-def same(scene: Scene, elsewhere: Callable[[], None]) -> None:
+@pytest.mark.parametrize("name", ["vehicle", "on a hill", "seen often", "village"])
+def test_points_and_normals_are_those_of_the_cpu(name: str, scenes: dict[str, Scene], elsewhere: Any) -> None:
     """Up to ties at the edges of voxels."""
+    scene = scenes[name]
     expected = Found.of(scene)
     elsewhere()
     actual, again, there = Found.of(scene), Found.of(scene), Found.of(scene, expected.points)
@@ -102,25 +97,16 @@ def same(scene: Scene, elsewhere: Callable[[], None]) -> None:
     np.testing.assert_allclose(there.gamma0, expected.gamma0, rtol=1e-4, atol=1e-7)
 
 
-@pytest.mark.parametrize("name", ["vehicle", "on a hill", "seen often"])
-def test_points_and_normals_are_those_of_the_cpu(name: str, scenes: dict[str, Scene], elsewhere: Any) -> None:
-    same(scenes[name], elsewhere)
-
-
-def test_a_village_is_that_of_the_cpu(village: Scene, elsewhere: Any) -> None:
-    same(village, elsewhere)
-
-
 def test_parts_are_as_on_the_cpu(scenes: dict[str, Scene], elsewhere: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Many points, many rays, and bricks."""
     monkeypatch.setattr(cells, "MOST_WAITING", 5000)
     monkeypatch.setattr(points, "_COARSEST", 1e-3)
-    monkeypatch.setattr(points, "_MOST_RAYS", 30_000)
+    monkeypatch.setattr(points, "_MOST_RAYS", 60_000)
     monkeypatch.setattr(first_returns, "_AT_ONCE", 20_000)
     scene = scenes["on a hill"]
-    expected = Found.of(scene).points
+    expected = extract_points(scene.gaussians, RING, scene.grid, scene.how, scene.terrain)
     elsewhere()
-    actual = Found.of(scene).points
+    actual = extract_points(scene.gaussians, RING, scene.grid, scene.how, scene.terrain)
     assert len(actual) == pytest.approx(len(expected), rel=5e-3)
     assert cKDTree(actual).query(expected)[0].mean() < 1e-3 * scene.grid.cell_m
 
@@ -137,10 +123,10 @@ def test_several_views_are_rendered_at_once_elsewhere(scenes: dict[str, Scene], 
 
 def test_strongest_centres_are_those_of_the_cpu(scenes: dict[str, Scene], elsewhere: Any) -> None:
     scene = scenes["vehicle"]._replace(how=PointExtraction(method="centres", power_share=0.9, voxel=0.2))
-    expected = Found.of(scene).points
+    expected = extract_points(scene.gaussians, RING, scene.grid, scene.how)
     elsewhere()
     assert len(expected) > 100
-    np.testing.assert_array_equal(Found.of(scene).points, expected)
+    np.testing.assert_array_equal(extract_points(scene.gaussians, RING, scene.grid, scene.how), expected)
 
 
 def test_a_mesh_is_that_of_the_cpu(scenes: dict[str, Scene], elsewhere: Any) -> None:

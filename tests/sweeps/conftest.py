@@ -1,5 +1,6 @@
 """A plan whose runs take a moment: images without a surface, few Gaussians, no reports."""
 
+import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -51,6 +52,20 @@ def plan() -> dict[str, Any]:
         "reports": False,
         "settings": {**settings, "points.rays_per_pixel": 2},
     }
+
+
+@pytest.fixture
+def untrained(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs are finished as soon as they begin."""
+    monkeypatch.setattr("sarsplat.sweeps.work._train_and_score", lambda *_: None)
+
+
+@pytest.fixture
+def plan_file(place: Path, plan: dict[str, Any]) -> None:
+    """The plan as `plan.toml`."""
+    settings = [f'"{name}" = {json.dumps(value)}' for name, value in plan["settings"].items()]
+    keys = [f"{name} = {json.dumps(value)}" for name, value in plan.items() if name != "settings"]
+    (place / "plan.toml").write_text("\n".join([*keys, "[settings]", *settings]))
 
 
 @pytest.fixture

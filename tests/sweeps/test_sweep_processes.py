@@ -1,6 +1,5 @@
 """Processes that do runs: the same bits, and nothing is lost whoever is killed."""
 
-import json
 import os
 import signal
 import subprocess
@@ -32,11 +31,8 @@ def expected(place: Path, plan: dict[str, Any], results) -> dict[str, Any]:
 
 
 @pytest.fixture
-def command(place: Path, plan: dict[str, Any]) -> Callable[[], subprocess.Popen[str]]:
+def command(plan_file: None) -> Callable[[], subprocess.Popen[str]]:
     """Starts a sweep of the plan to the folder `out`."""
-    settings = "\n".join(f'"{name}" = {json.dumps(value)}' for name, value in plan.pop("settings").items())
-    lines = [f"{name} = {json.dumps(value)}" for name, value in plan.items()]
-    (place / "plan.toml").write_text("\n".join([*lines, "[settings]", settings]))
     words = [sys.executable, "-m", "sarsplat", "sweep", "plan.toml", "--out", "out", "--processes", "1"]
     return lambda: subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
@@ -64,7 +60,7 @@ def _read(path: Path) -> bytes:
         return b""
 
 
-def test_a_run_in_another_process_is_left_to_it(place, plan):
+def test_a_run_in_another_process_is_left_to_it(place, plan, untrained):
     one = cells_of(Plan.from_dict({**plan, "seeds": [0]}), place)[0]
     out = place / "out"
     (out / "rows").mkdir(parents=True)
@@ -73,7 +69,7 @@ def test_a_run_in_another_process_is_left_to_it(place, plan):
     assert do(one, out).state == "finished"
 
 
-def test_as_many_runs_are_done_at_a_time_as_there_are_processes(place, plan, monkeypatch):
+def test_as_many_runs_are_done_at_a_time_as_there_are_processes(place, plan, untrained, monkeypatch):
     both = threading.Barrier(2, timeout=60)
 
     class Here(executor_local.Worker):

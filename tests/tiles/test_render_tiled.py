@@ -167,11 +167,8 @@ def test_the_command_goes_on_too(tmp_path: Path, after, monkeypatch: pytest.Monk
 def test_terrain_has_no_seams_either(view, after, tmp_path):
     """Hills shade what other tiles show; and tiles of another terrain are not taken for those of this one."""
     grid, g = ImageGrid(70, 60, (0.3, 0.25), (0.4, 0.3)), torch.Generator().manual_seed(2)
-    scene = town(view, 400)
     place = (torch.rand(400, 3, generator=g) - 0.5) * torch.tensor([14.0, 14.0, 1.0])
-    scene = Gaussians(
-        place + torch.tensor([0.0, 0.0, 1.0]), *list(scene.tensors().values())[1:4], scattering=scene.scattering
-    )
+    scene = town(view, 400).with_tensors(means=place + torch.tensor([0.0, 0.0, 1.0]))
     low, high = (Ground(TEXTURED.gamma0, 2.0, hill(height), TEXTURED.exponent) for height in (1.0, 4.0))
     tiles = after(1000)
     with tiles_kept_in(tmp_path):

@@ -18,24 +18,16 @@ from sarsplat.settings.kinds import Count, Seed
 
 @dataclass(frozen=True)
 class BaselineConfig(AnyConfig):
-    """Base of a baseline's settings.
-
-    Parameters
-    ----------
-    iterations : int
-        Length of a whole training.
-    checkpoint_every : int
-        Iterations between two checkpoints.
-    views_per_step : int
-        Training images in one step.
-    seed : int
-        Seed of all random numbers.
-    """
+    """Base of a baseline's settings."""
 
     iterations: Count = 1000
+    """Length of a whole training."""
     checkpoint_every: Count = 100
+    """Iterations between two checkpoints."""
     views_per_step: Count = 1
+    """Training images in one step."""
     seed: Seed = 0
+    """Seed of all random numbers."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -123,14 +123,12 @@ def _all_of_split(given: dict[str, Any]) -> int:
     codes, made = _each(given, classes)
     if not made:
         return max(codes)
-    totals = Counter[str]()
     headers = [read_header(out) for out in made]
-    for header in headers:
-        parts = header.source["split"]["parts"]
-        for said in in_words(parts):
+    sources = [source for header in headers if (source := SplitSource.of(header.target, header.source)) is not None]
+    for source in sources:
+        for said in in_words(source.parts):
             console.say(said)
-        for part in parts:
-            totals[part["set"]] += part["found"]
+    totals = _chips(sources, "found")
     for name, whole in (("train", split.train), ("test", split.test)):
         found = totals[name]
         published = sum(part.count for part in whole if same_class(tuple(classes), part.target))
@@ -232,15 +230,18 @@ class SplitSource:
 
     def incomplete(self) -> str:
         """Return the numbers of chips found and published; "" if they are equal."""
-        sums: dict[str, list[int]] = {}
-        for part in self.parts:
-            numbers = sums.setdefault(str(part["set"]), [0, 0])
-            for index, key in enumerate(("found", "published")):
-                numbers[index] += int(part[key])
-        if all(found == published for found, published in sums.values()):
+        found, published = (_chips([self], key) for key in ("found", "published"))
+        if found == published:
             return ""
-        counts = ", ".join(f"{kind} {found:,} of {published:,}" for kind, (found, published) in sums.items())
-        return f"{self.target}: {counts}"
+        return f"{self.target}: " + ", ".join(f"{kind} {found[kind]:,} of {published[kind]:,}" for kind in found)
+
+
+def _chips(sources: Sequence[SplitSource], key: str) -> Counter[str]:
+    """Return sums over the parts of splits, "found" or "published", by set."""
+    sums = Counter[str]()
+    for part in (part for source in sources for part in source.parts):
+        sums[str(part["set"])] += int(part[key])
+    return sums
 
 
 def rows_of_all(sources: Sequence[SplitSource]) -> dict[str, str]:
@@ -254,9 +255,7 @@ def rows_of_all(sources: Sequence[SplitSource]) -> dict[str, str]:
         missing = [one for one in split.classes if not any(same_class(other.target, one) for other in own)]
         lacking = f"; {', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing" if missing else ""
         rows[f"split {name}"] = f"{len(split.classes) - len(missing)} of {len(split.classes)} classes{lacking}"
-        found = Counter[str]()
-        for part in (part for one in own for part in one.parts):
-            found[str(part["set"])] += int(part["found"])
+        found = _chips(own, "found")
         for kind, parts in (("train", split.train), ("test", split.test)):
             published = sum(part.count for part in parts)
             rows[f"{kind} {name}"] = f"{found[kind]:,} of {published:,} chips"

@@ -18,21 +18,10 @@ _VERSION = "1"
 
 
 def save_checkpoint(path: Path, tensors: Mapping[str, Tensor], state: dict[str, Any]) -> None:
-    """Write a checkpoint, whole or not at all; an existing one is replaced.
+    """Write a checkpoint (`.safetensors`), whole or not at all; an existing one is replaced.
 
-    Parameters
-    ----------
-    path : Path
-        File to write (`.safetensors`).
-    tensors : mapping of str to Tensor
-        Any shapes, dtypes and devices; exact.
-    state : dict
-        Everything else, as JSON: counters, generator states, configuration.
-
-    Raises
-    ------
-    SarsplatError
-        If the state is not JSON or holds NaN, or the file cannot be written.
+    Tensors of any shape, dtype and device are exact; `state` is everything else, as JSON: counters, generator states,
+    configuration. Raise SarsplatError if it is not JSON or holds NaN, or the file cannot be written.
     """
     path = Path(path)
     metadata = {"schema": _SCHEMA, "version": _VERSION, "state": encode_json(state, path).decode()}
@@ -47,19 +36,9 @@ def save_checkpoint(path: Path, tensors: Mapping[str, Tensor], state: dict[str, 
 
 
 def load_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Read tensors and state of a checkpoint.
+    """Read tensors, on the CPU with the same bits, and the JSON state of a checkpoint.
 
-    Returns
-    -------
-    tensors : dict of str to Tensor
-        On the CPU, with the same bits.
-    state : dict
-        The JSON state.
-
-    Raises
-    ------
-    SarsplatError
-        If the file is missing, damaged, truncated, not a sarsplat checkpoint, or of another version.
+    Raise SarsplatError if the file is missing, damaged, truncated, not a sarsplat checkpoint, or of another version.
     """
     path = Path(path)
     try:

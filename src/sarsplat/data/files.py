@@ -103,18 +103,8 @@ def new_file(path: Path) -> Iterator[BinaryIO]:
     """Write a file in parts, whole or not at all; an existing one is replaced once the new one is on the disk.
 
     A killed process leaves `.NAME.sarsplat-tmp`, which the next one overwrites. In a folder that is being built, files
-    are neither locked nor flushed to the disk.
-
-    Parameters
-    ----------
-    path : Path
-        File to write; its folder must exist.
-
-    Raises
-    ------
-    SarsplatError
-        If the disk is full or read-only, permission or the folder is missing, another process is writing this file, or
-        the path exists and is not a regular file.
+    are neither locked nor flushed to the disk. Raise SarsplatError if the disk is full or read-only, permission or the
+    folder is missing, another process is writing this file, or the path exists and is not a regular file.
     """
     path = Path(path)
     with plain_os_errors("write", path):
@@ -187,37 +177,17 @@ def open_file(path: Path) -> Iterator[BinaryIO]:
 
 
 def read_json(path: Path, type: type[T]) -> T:
-    """Read a JSON file, which may be missing, garbled or hostile.
+    """Read a JSON file, which may be missing, garbled or hostile, as a type that msgspec knows.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    type : type
-        Type of its value, as msgspec knows them: a `msgspec.Struct`, a dataclass, `dict[str, Any]` …
-
-    Returns
-    -------
-    T
-        The value; every number in it is finite, and text can be written as UTF-8.
-
-    Raises
-    ------
-    SarsplatError
-        If the file is missing, is not UTF-8 JSON, holds NaN or an infinity, is nested too deeply, or a field
-        is missing, unknown or of another type.
+    Every number in the result is finite, and text can be written as UTF-8. Raise SarsplatError if the file is missing,
+    is not UTF-8 JSON, holds NaN or an infinity, is nested too deeply, or a field is missing, unknown or of another
+    type.
     """
     return decode_json(_read_text(path), Path(path), type)
 
 
 def read_versioned_json(path: Path, type: type[T], *, schema: str, version: int, remedy: str) -> T:
-    """Read a JSON file like `read_json`, after its fields `schema` and `schema_version` are checked.
-
-    Raises
-    ------
-    SarsplatError
-        As `read_json`, or if schema or version differ; that message ends with `remedy`.
-    """
+    """Read a JSON file like `read_json`; raise also if its `schema` or `schema_version` differ, with this `remedy`."""
     data = _read_text(path)
     kind = decode_json(data, Path(path), _Kind)
     for field, expected in (("schema", schema), ("schema_version", version)):

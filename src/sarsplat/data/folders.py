@@ -42,7 +42,8 @@ def new_folder(
     """Build an output folder under a temporary sibling name, and rename it to `path` when the block ends well.
 
     If the block raises, KeyboardInterrupt included, the temporary folder is removed and an existing `path` stays. A
-    killed process leaves `.NAME.sarsplat-new`, which the next writer of this path clears.
+    killed process leaves `.NAME.sarsplat-new`, which the next writer of this path clears, or `.NAME.sarsplat-old`, the
+    folder that was being replaced, which it restores.
 
     Parameters
     ----------
@@ -67,11 +68,6 @@ def new_folder(
     SarsplatError
         If `path` exists and may not be replaced, another process is writing it, the disk is full or read-only, or
         permission is missing.
-
-    Notes
-    -----
-    The old folder becomes `.NAME.sarsplat-old` before the new one is renamed. If the process is killed in between, the
-    next call for the same path restores it.
     """
     path = Path(os.path.realpath(path))  # unlike resolve() it tolerates a link to itself
     built, old = temporary_folder(path), beside(path, _OLD)

@@ -66,27 +66,18 @@ logging.getLogger("rasterio").setLevel(logging.CRITICAL)  # sarsplat's errors de
 
 @dataclass(frozen=True, eq=False)
 class Raster:
-    """Numbers or classes over a map.
-
-    Parameters
-    ----------
-    values : numpy.ndarray, float or uint8 [rows, columns]
-        Row 0 has the largest y (north); NaN of floats means unknown.
-    corner_m : (float, float)
-        Least x and largest y of the map: the outer corner of its first pixel.
-    pitch_m : (float, float)
-        Size of a pixel along x and y.
-    crs : pyproj.CRS or None
-        System of x and y; None: the scene's own axes, in metres.
-    height_above : {"ellipsoid", "sea level", "unknown"} or None
-        Zero level of heights; None: the file does not name it, or heights are z of the scene.
-    """
+    """Numbers or classes over a map."""
 
     values: Shaped[np.ndarray, "rows columns"]
+    """Float or uint8; row 0 has the largest y (north), and NaN means unknown."""
     corner_m: tuple[float, float]
+    """Least x and largest y of the map: the outer corner of its first pixel."""
     pitch_m: tuple[float, float]
+    """Size of a pixel along x and y."""
     crs: Any = None
+    """System of x and y, pyproj.CRS; None: the scene's own axes, in metres."""
     height_above: HeightAbove | None = None
+    """Zero level of heights; None: the file does not name it, or heights are z of the scene."""
 
     @property
     def centres(self) -> tuple[Float64[np.ndarray, "rows columns"], Float64[np.ndarray, "rows columns"]]:
@@ -98,18 +89,12 @@ class Raster:
 
 @dataclass(frozen=True, eq=False)
 class Georeference:
-    """Map coordinates of pixels.
-
-    Parameters
-    ----------
-    affine : numpy.ndarray, float64 [2, 3]
-        (x, y) of the middle of the pixel in a column and a row: `affine @ (column, row, 1)`, in the map's unit.
-    crs : pyproj.CRS or None
-        Horizontal system of x and y; None if the file names none.
-    """
+    """Map coordinates of pixels."""
 
     affine: Float64[np.ndarray, "2 3"]
+    """(x, y) of the middle of the pixel in a column and a row: `affine @ (column, row, 1)`, in the map's unit."""
     crs: Any = None
+    """Horizontal system of x and y, pyproj.CRS; None if the file names none."""
 
     @property
     def geographic(self) -> bool:
@@ -235,18 +220,9 @@ def write_raster(
 ) -> None:
     """Write a raster as a tiled and compressed GeoTIFF, whole or not at all.
 
-    Parameters
-    ----------
-    path : Path
-        File to write.
-    raster : Raster
-        Numbers, which become float32 with NaN as "no data", or classes, with 255 as "no data".
-    description : str
-        Name of the quantity, with its unit (the ImageDescription tag, and the name of the band).
-    unit : str, optional
-        Unit of the band, for programs; none unless given.
-    colours : mapping of int to (red, green, blue), optional
-        Colours of classes, 0 to 255; without them the raster holds numbers.
+    Numbers become float32 with NaN as "no data"; classes, which have `colours` (red, green, blue; 0 to 255), become
+    uint8 with 255 as "no data". `description` names the quantity and its unit, in the ImageDescription tag and as the
+    name of the band; `unit` is that of the band, for programs.
     """
     rasterio = _rasterio(path)
     (rows, columns), (left, top), (dx, dy) = raster.values.shape, raster.corner_m, raster.pitch_m

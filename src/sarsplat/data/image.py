@@ -74,19 +74,9 @@ class SarImage:
     @classmethod
     @checks_arguments
     def of_complex(cls, signal: Complex[np.ndarray, "rows columns"], view: View, grid: ImageGrid) -> Self:
-        """Make an image that keeps its phase.
+        """Make an image that keeps its phase; other arguments and errors are those of `SarImage`.
 
-        Parameters
-        ----------
-        signal : numpy.ndarray, complex [rows, columns]
-            Complex amplitude √β⁰·e^jψ, row 0 near range.
-        view, grid
-            See `SarImage`.
-
-        Raises
-        ------
-        SarsplatError
-            As for `SarImage`.
+        `signal` is the complex amplitude √β⁰·e^jψ, complex [rows, columns], row 0 near range.
         """
         signal = as_signal(signal, "the image")
         return cls(power_of(signal), view, grid, signal)
@@ -124,13 +114,7 @@ class SarImage:
 
     @checks_arguments
     def show(self, *, dynamic_range_db: float = DYNAMIC_RANGE_DB) -> None:
-        """Open a window with the picture, or show it in a notebook.
-
-        Raises
-        ------
-        SarsplatError
-            If matplotlib is not installed.
-        """
+        """Open a window with the picture, or show it in a notebook; raise if matplotlib is not installed."""
         with needed("report", "a picture"):
             from matplotlib import pyplot
         _draw(self.power, self.view, self.grid, pyplot.figure(), dynamic_range_db)
@@ -174,10 +158,10 @@ def in_blocks(images: Shaped[Any, "*v rows columns"], factor: int) -> Shaped[Any
     return images[..., : m * factor, : n * factor].reshape(*images.shape[:-2], m, factor, n, factor)
 
 
-def power_of_passes(signal: Complex64[np.ndarray, "v *passes rows columns"]) -> Float32[np.ndarray, "v rows columns"]:
-    """Return the linear power of images; of stacks, the mean over the passes."""
+def power_of_passes(signal: Complex64[np.ndarray, "*of_signal"]) -> Float32[np.ndarray, "*shape"]:
+    """Return the linear power of an image [rows, columns] or of several; of stacks [V, P, …], the mean over passes."""
     power = power_of(signal)
-    return power if power.ndim == 3 else power.mean(1)
+    return power.mean(1) if power.ndim == 4 else power
 
 
 @checks_arguments
@@ -192,7 +176,7 @@ def check_signal(
         signal is None
         or signal.dtype != np.complex64
         or signal.shape != shape
-        or not np.array_equal(power_of_passes(signal) if passes else power_of(signal), power)
+        or not np.array_equal(power_of_passes(signal), power)
     ):
         has = "None" if signal is None else f"{signal.dtype} of shape {signal.shape}"
         raise SarsplatError(

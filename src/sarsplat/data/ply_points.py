@@ -14,16 +14,9 @@ from sarsplat.data.files import new_file, open_file
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry.place import places_of
 
-_TYPES = {
-    **dict.fromkeys(("char", "int8"), "i1"),
-    **dict.fromkeys(("uchar", "uint8"), "u1"),
-    **dict.fromkeys(("short", "int16"), "<i2"),
-    **dict.fromkeys(("ushort", "uint16"), "<u2"),
-    **dict.fromkeys(("int", "int32"), "<i4"),
-    **dict.fromkeys(("uint", "uint32"), "<u4"),
-    **dict.fromkeys(("float", "float32"), "<f4"),
-    **dict.fromkeys(("double", "float64"), "<f8"),
-}
+_TYPES = {"char": "i1", "uchar": "u1", "short": "<i2", "ushort": "<u2", "int": "<i4", "uint": "<u4"}
+_TYPES |= {"float": "<f4", "double": "<f8"}
+_TYPES |= {np.dtype(code).name: code for code in _TYPES.values()}  # "int8", "uint8" …
 _FORMAT = "format binary_little_endian 1.0"
 _LONGEST_HEADER = 65_536
 """Maximum length of a header, bytes."""

@@ -32,21 +32,14 @@ _METRES = ("", "m", "metre", "meter", "metres", "meters")
 
 @dataclass(frozen=True, eq=False)
 class MapHeights:
-    """Heights on a map.
-
-    Attributes
-    ----------
-    raster : Raster
-        Heights, float64, m, NaN where unknown, in the file's system.
-    place : Place or None
-        Position of their middle on earth, if known.
-    metres : (float, float)
-        Metres on the ground for each metre of the map along its x and y; 1 if unknown.
-    """
+    """Heights on a map."""
 
     raster: Raster
+    """Heights, float64, m, NaN where unknown, in the file's system."""
     place: Place | None = None
+    """Position of their middle on earth, if known."""
     metres: tuple[float, float] = (1.0, 1.0)
+    """Metres on the ground for each metre of the map along its x and y; 1 if unknown."""
 
 
 @checks_arguments

@@ -24,17 +24,10 @@ logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # sarsplat's errors de
 
 
 def write_tiff(path: Path, image: Shaped[np.ndarray, "*passes rows columns"], description: str) -> None:
-    """Write an image or a stack as an uncompressed TIFF, whole or not at all.
+    """Write an image [rows, columns], or a stack [P, rows, columns] of a page each, as an uncompressed TIFF.
 
-    Parameters
-    ----------
-    path : Path
-        File to write.
-    image : numpy.ndarray [rows, columns] or [P, rows, columns]
-        Linear power, stored as float32, or complex amplitudes, stored as complex64; row 0 near range. A page for each
-        pass of a stack.
-    description : str
-        Text of the ImageDescription tag, ASCII.
+    Linear power is stored as float32, complex amplitudes as complex64; row 0 near range. `description` is the text of
+    the ImageDescription tag, ASCII.
     """
     buffer = io.BytesIO()
     pixels = np.ascontiguousarray(image, dtype=np.complex64 if np.iscomplexobj(image) else np.float32)
@@ -45,22 +38,11 @@ def write_tiff(path: Path, image: Shaped[np.ndarray, "*passes rows columns"], de
 
 
 def read_tiff(path: Path, shape: tuple[int, ...], pixel: DTypeLike = np.float32) -> Shaped[np.ndarray, "*shape"]:
-    """Read an image that must have the given shape and pixels.
+    """Read an image that must have this shape, [rows, columns] or [P, rows, columns], and pixels.
 
-    Parameters
-    ----------
-    path : Path
-        An uncompressed TIFF; its header is trusted only where it fits `shape` and the size of the file.
-    shape : (int, int) or (int, int, int)
-        Rows and columns to expect, of a stack after the number of its passes.
-    pixel : numpy dtype
-        float32 for linear power, complex64 for complex amplitudes.
-
-    Raises
-    ------
-    SarsplatError
-        If the file is missing, damaged, truncated, compressed, of another shape or type, or its power is negative,
-        absurdly large or not finite.
+    These are float32 for linear power, complex64 for complex amplitudes. The header of the file is trusted only where
+    it fits the shape and the size of the file. Raise SarsplatError if the file is missing, damaged, truncated,
+    compressed, of another shape or type, or its power is negative, absurdly large or not finite.
     """
     path, dtype = Path(path), np.dtype(pixel)
     pixel_bytes, pages = dtype.itemsize * math.prod(shape), shape[0] if len(shape) == 3 else 1

@@ -48,24 +48,9 @@ def azimuth_errors(
 ) -> list[Float64[np.ndarray, " v"]]:
     """Find the azimuths of test images by predicted images, as `sarsplat.locate` does by those of one run.
 
-    Parameters
-    ----------
-    run : Run
-        Run whose masks say where target and shadow may be.
-    tested : Dataset
-        V images with azimuths.
-    predictors : sequence of function
-        Functions that return linear power [views, rows, columns] of any views, on the grid of the images.
-
-    Returns
-    -------
-    list of numpy.ndarray, float64 [V]
-        Errors by each of them, degrees in [−180, 180).
-
-    Raises
-    ------
-    UndefinedScore
-        If there are few images, or these are too small, too large for the memory, or black around the origin.
+    Masks of the run say where target and shadow may be; predictors return linear power of any views on the images'
+    grid. Return the errors [V] by each predictor, degrees in [−180, 180). Raise `UndefinedScore` if there are few
+    images, or these are too small, too large for the memory, or black around the origin.
     """
     if len(tested) < FEWEST:
         raise UndefinedScore(f"azimuths are found in sets of at least {FEWEST} images; these are {len(tested)}")

@@ -155,8 +155,6 @@ def _evaluate(
     points: bool,
     quiet: bool,
 ) -> dict[str, Any]:
-    if alignment not in ("none", "rigid"):
-        raise SarsplatError(f"alignment {alignment!r} is unknown; choose none or rigid")
     if alignment == "rigid" and dataset.truth_mesh is None:
         raise SarsplatError(f"{dataset} has no true mesh to align the points to; give one as `mesh`")
     test_sets = [split for split in dataset.splits() if split != "train"]
@@ -270,12 +268,8 @@ def _hardest(dataset: Dataset) -> str:
 def _by_image(tested: Dataset, pair: ImagePair) -> dict[str, Any]:
     """The leading metric of each single image; None where it is undefined."""
     metric = leading_metric(tested)
-    scores: list[float | None] = []
-    for truth, rendered in zip(pair.truth, pair.rendered, strict=True):
-        try:
-            scores.append(metric.compute(replace(pair, truth=truth[None], rendered=rendered[None])))
-        except UndefinedScore:
-            scores.append(None)
+    singles = (replace(pair, truth=a[None], rendered=b[None]) for a, b in zip(pair.truth, pair.rendered, strict=True))
+    scores = [compute_all([metric], tested, single, "", {})[metric.key] for single in singles]
     return {"metric": metric.key, "scores": scores}
 
 

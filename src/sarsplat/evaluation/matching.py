@@ -108,7 +108,7 @@ class Matcher:
         shift: Int64[np.ndarray, "q k 2"],
         shape: float,
     ) -> tuple[np.ndarray, ...]:
-        """Return nats, azimuth (degrees), curvature (per square degree), gain and displacement of the likeliest azimuth.
+        """Return nats, azimuth (degrees), curvature (per square degree), gain and displacement of the likeliest one.
 
         The first three are those of the vertex of a parabola through its neighbours.
         """

@@ -58,18 +58,7 @@ NOT_THE_SAME_EXPERIMENT = (
 
 
 def paper_scores(target: str) -> Scores:
-    """Published scores of one target.
-
-    Parameters
-    ----------
-    target : str
-        T72, BTR70 or KRAZ, in any case.
-
-    Raises
-    ------
-    SarsplatError
-        If the paper has no such target.
-    """
+    """Published scores of one target: T72, BTR70 or KRAZ, in any case; others raise `SarsplatError`."""
     if target.upper() not in _PUBLISHED:
         raise SarsplatError(f"the paper has no row for {target!r}; it has {', '.join(_PUBLISHED)}")
     return Scores(f"paper, {target.upper()}", _PUBLISHED[target.upper()])
@@ -80,6 +69,5 @@ def paper_beside(dataset: Dataset) -> Scores | None:
 
     None unless the views are the paper's and the images show the target alone, without speckle, as the paper's do.
     """
-    if dataset.protocol != "paper" or dataset.ground or dataset.looks is not None:
-        return None
-    return paper_scores(dataset.target) if dataset.target.upper() in _PUBLISHED else None
+    same = dataset.protocol == "paper" and not dataset.ground and dataset.looks is None
+    return paper_scores(dataset.target) if same and dataset.target.upper() in _PUBLISHED else None

@@ -32,15 +32,10 @@ _ALIGNED = 4000  # points and surface samples used to align
 
 @dataclass(frozen=True)
 class Yardstick:
-    """Lengths that scores of points use: fractions of the images' resolution cell.
-
-    Parameters
-    ----------
-    cell_m : float
-        Resolution cell, m; `of` rounds it to one significant digit, so that similar sensors are scored alike.
-    """
+    """Lengths that scores of points use: fractions of the images' resolution cell."""
 
     cell_m: float
+    """Resolution cell, m; `of` rounds it to one significant digit, so that similar sensors are scored alike."""
 
     @classmethod
     def of(cls, grid: ImageGrid) -> "Yardstick":
@@ -134,10 +129,10 @@ class Cloud:
         self, points: Float[np.ndarray, "p 3"], yardstick: Yardstick, normals: Float[np.ndarray, "p 3"] | None = None
     ) -> None:
         _check("reconstructed points", points)
-        if normals is not None and len(normals) != len(points):
-            raise SarsplatError(f"{len(points)} points have {len(normals)} normals; give one for each, or none")
         if normals is not None:
             _check("normals of the points", normals)
+            if len(normals) != len(points):
+                raise SarsplatError(f"{len(points)} points have {len(normals)} normals; give one for each, or none")
         first = first_of_voxels(points, yardstick.voxel_m)
         first = first[order_in_space(points[first].astype(np.float64))]
         self._points = points[first].astype(np.float64)

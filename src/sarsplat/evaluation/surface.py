@@ -54,10 +54,7 @@ class VisibleSurface:
 def read_truth_mesh(path: Path) -> Trimesh:
     """Read the true mesh of a dataset, unchanged.
 
-    Raises
-    ------
-    SarsplatError
-        If it cannot be read, has no faces, or has missing or non-finite vertices.
+    Raises `SarsplatError` if it cannot be read, has no faces, or has missing or non-finite vertices.
     """
     try:
         mesh = read_mesh(path)

@@ -25,19 +25,10 @@ class Scores:
 
 
 def comparison(metrics: Mapping[str, Any], paper: Scores | None = None) -> list[Scores]:
-    """The run's scores on each test set with the baselines of that set, then the paper.
+    """The run's scores on each test set with the baselines of that set, then the paper where that is comparable.
 
-    Parameters
-    ----------
-    metrics : mapping
-        Result of `evaluate_run`, or `metrics.json`.
-    paper : Scores, optional
-        The paper's figures, where they are comparable.
-
-    Returns
-    -------
-    list of Scores
-        Those of the run have scores of images, of points against the visible surface, and of the training.
+    `metrics` is the result of `evaluate_run`, or `metrics.json`. The run's scores are of images, of points against the
+    visible surface, and of the training.
     """
     common = {**metrics["points"]["visible"], "time_s": metrics["time_s"]}
     rows = []

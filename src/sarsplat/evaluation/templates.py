@@ -21,20 +21,11 @@ from sarsplat.runs import Run
 COARSE = 2
 """Pixels of the coarse search along each side."""
 
-_REACH_CELLS = 3.0
-"""Largest displacement of an image, resolution cells."""
-
-_MARGIN_CELLS = 8.0
-"""Margin of the window around targets and shadows, resolution cells."""
-
-_MASKS = 12
-"""Number of azimuths at which the runs' targets and shadows are outlined."""
-
-_AT_A_TIME = 8
-"""Views that are rendered at once."""
-
-_BYTES = 27
-"""Maximum memory of a prediction while it is prepared for matching, bytes per pixel."""
+_REACH_CELLS = 3.0  # largest displacement of an image, resolution cells
+_MARGIN_CELLS = 8.0  # margin of the window around targets and shadows, resolution cells
+_MASKS = 12  # number of azimuths at which the runs' targets and shadows are outlined
+_AT_A_TIME = 8  # views that are rendered at once
+_BYTES = 27  # maximum memory of a prediction while it is prepared for matching, bytes per pixel
 
 
 @dataclass(frozen=True)

@@ -22,11 +22,8 @@ from sarsplat.geometry import ImageGrid, View
 from sarsplat.names import Side
 from sarsplat.radiometry import bright_level
 
-_MAX_IMAGES = 120
-"""Maximum number of images that are examined; evenly chosen of more."""
-
-_MAX_EMPTY = 1e-6
-"""Edge power below which images show no ground, relative to their bright level."""
+_MAX_IMAGES = 120  # maximum number of images that are examined; evenly chosen of more
+_MAX_EMPTY = 1e-6  # edge power below which images show no ground, relative to their bright level
 
 _SHADOW_DIRECTION: dict[Side, str] = {
     "top": "downwards",

@@ -44,11 +44,8 @@ _MIN_GRAZING = 0.01
 _BRIGHT_DB, _BRIGHTEST_DB = 3.0, 23.0
 """Levels above the ground between which the weight of bright pixels rises, dB: it is 0 for speckle."""
 
-_DARKEST_DB = -10.0
-"""Level relative to the ground at which the darkness of shadow is clipped, dB."""
-
-_PIXELS = 256
-"""Maximum pixels per side in the search for shadow; larger images are averaged."""
+_DARKEST_DB = -10.0  # level relative to the ground at which the darkness of shadow is clipped, dB
+_PIXELS = 256  # maximum pixels per side in the search for shadow; larger images are averaged
 
 
 @dataclass(frozen=True)
@@ -118,7 +115,9 @@ def orientation(
     displaced = [senses[k][better[k]].displaced(away) for away in (-1, 1) for k in (0, 1)]  # in the order of SIDES
     layover = SideEvidence(np.stack(displaced, axis=1))
     near = _near(shadow, edge, layover, centred)
-    axis = SIDES.index(near) % 2 if near else int(best[1][better[1]].sum() > best[0][better[0]].sum())
+    turned = [best[k][better[k]] for k in (0, 1)]
+    likelier = int(turned[1].sum() > turned[0].sum())
+    axis = SIDES.index(near) % 2 if near else likelier
     all_pairs = [*pairs, *(steeper_neighbours(views) if pairs else [])]
     # with as many pixels by grazing as by incidence angles: more ground around a target lowers the correlation
     readings = views, [replace(view, grazing_deg=view.incidence_deg) for view in views]
@@ -137,12 +136,8 @@ def orientation(
         Evidence(best[axis][0] - best[axis][1]),
         Evidence(given - swapped),
         Evidence(given - swapped + stretch_bias(views, all_pairs, np.maximum(given, swapped))),
-        Evidence(match(bright[0], views, grid, pairs, sense=0).best() - _highest([*best[0], *best[1]])),
+        Evidence(match(bright[0], views, grid, pairs, sense=0).best() - turned[likelier]),
     )
-
-
-def _highest(correlations: Sequence[Float64[np.ndarray, " n"]]) -> Float64[np.ndarray, " n"]:
-    return correlations[int(np.argmax([values.sum() for values in correlations]))]
 
 
 def turned_grid(grid: ImageGrid, near: Side) -> ImageGrid:

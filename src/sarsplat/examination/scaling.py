@@ -14,8 +14,7 @@ from sarsplat.errors import SarsplatError, counted
 from sarsplat.examination.outcome import Examination
 from sarsplat.radiometry import LEAST_POWER, beta0_of_gamma0, from_db, to_db
 
-_MIN_CLIPPED = 0.01
-"""Clipped share of an image that is as large as a target."""
+_MIN_CLIPPED = 0.01  # clipped share of an image that is as large as a target
 
 MUCH_CLIPPED = 0.1
 """Clipped share of an image that includes ground, which makes statistics of the ground meaningless."""
@@ -23,25 +22,17 @@ MUCH_CLIPPED = 0.1
 MIN_CLIPPED_REPORTED = 1e-3
 """Minimum clipped share of all pixels that is reported."""
 
-_MAX_UNCLIPPED = 4
-"""Maximum number of pixels at the largest value of an image without clipping."""
-
-_MIN_IMAGES = 5
-"""Minimum number of images for comparisons between them."""
-
-_CHANCE = 0.01
-"""Significance level: images clipped on a common scale are rare already."""
-
-_SAME_MEAN = 1e-4
-"""Relative tolerance of equal mean powers: rounding to 8 bits follows the normalisation."""
+_MAX_UNCLIPPED = 4  # maximum number of pixels at the largest value of an image without clipping
+_MIN_IMAGES = 5  # minimum number of images for comparisons between them
+_CHANCE = 0.01  # significance level: images clipped on a common scale are rare already
+_SAME_MEAN = 1e-4  # relative tolerance of equal mean powers: rounding to 8 bits follows the normalisation
 
 _OTHER_DB = 8.0
 _OTHER_DEVIATIONS = 8.0
 """Maximum deviation of an image's ground from the others', dB and robust standard deviations: gains of measured chips
 differ by 3 dB."""
 
-_MAX_SPREAD_DB = 5.0
-"""Maximum robust standard deviation of the ground in images of one scale, dB."""
+_MAX_SPREAD_DB = 5.0  # maximum robust standard deviation of the ground in images of one scale, dB
 
 _CONTRASTS = (0.72, 1.39)
 """Range of an image's ground contrast (standard deviation over mean) relative to that of the others. Measured: 0.93 to
@@ -50,14 +41,12 @@ _CONTRASTS = (0.72, 1.39)
 _REAL_SLOPES = (-2.0, 5.0)
 """Range of n in γ⁰ ~ sinⁿ θ of real ground: −1 of the same σ⁰ at all angles, 4 of a calm sea or a road."""
 
-_LAW_STEP_DB = 0.5
-"""Step of 10·log10(sin θ) within which grazing angles count as the same."""
+_LAW_STEP_DB = 0.5  # step of 10·log10(sin θ) within which grazing angles count as the same
 
 _QUANTILES = (0.5, 0.75, 0.9)
 """Quantiles of an image that another scale moves alike; shadow or a large target moves only some."""
 
-_OWN_SCALES = ("mstar", "sample")
-"""Kinds of datasets with a known scale per image, which the preset "measured" learns."""
+_OWN_SCALES = ("mstar", "sample")  # kinds of datasets with a known scale per image, which the preset "measured" learns
 
 _ONE_SCALE = (
     "give them on one scale, or the factor of each in a column of the table (`columns={'scale': 'NAME'}`); if neither "
@@ -225,14 +214,12 @@ def _other_contrast(dataset: Dataset) -> list[str]:
 
     if dataset.clean_tests:
         dataset = dataset.select("train")
-    views = range(len(dataset))
-    if len(dataset) < _MIN_IMAGES:
-        return []
-    grounds = []
-    for image in (dataset.power[k : k + 1] for k in views):
-        levels = levels_db(image, dataset.grid, ground=True)
-        grounds.append(clutter(image, levels, [outline(levels[0])], dataset.grid))
-    fine = {k: ground.contrast for k, ground in zip(views, grounds, strict=True) if ground and not ground.coarse}
+    fine: dict[int, float] = {}
+    for k, image in enumerate(dataset.power):
+        levels = levels_db(image[None], dataset.grid, ground=True)
+        ground = clutter(image[None], levels, [outline(levels[0])], dataset.grid)
+        if ground and not ground.coarse:
+            fine[k] = ground.contrast
     if len(fine) < _MIN_IMAGES:
         return []
     typical = float(np.median(list(fine.values())))

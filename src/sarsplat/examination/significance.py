@@ -15,8 +15,7 @@ from sarsplat.names import Side
 CHANCE = 1e-4
 """Significance level of Student's t-test."""
 
-_MIN_COUNT = 5
-"""Minimum number of images, or pairs of images."""
+_MIN_COUNT = 5  # minimum number of images, or pairs of images
 
 _MAX_MEAN_DIRECTION = 0.2
 """Length of the mean look direction (0 all round, 1 all the same) above which the scene's effects are fitted: below,

@@ -30,11 +30,8 @@ MAX_RANGE_DB = 100.0
 UNIT_RANK = 5
 """Rank of the pixel by which a range shows a wrong unit rather than hot pixels."""
 
-_LINE_DB = 10.0
-"""Tolerance of the difference between medians of neighbouring rows or columns, besides the response."""
-
-_SINC_WIDTH = 0.8859
-"""3 dB width of the unweighted response, relative to the distance of its peak from its first zero."""
+_LINE_DB = 10.0  # tolerance of the difference between medians of neighbouring rows or columns, besides the response
+_SINC_WIDTH = 0.8859  # 3 dB width of the unweighted response, relative to the distance of its peak from its first zero
 
 _MIN_LINES = 3
 _MIN_IMAGES = 3

@@ -19,28 +19,21 @@ from sarsplat.geometry.responses import width_of
 from sarsplat.radiometry import brighter
 from sarsplat.regions.outlines import Outline, levels_db, outline
 
-_SPECKLED = 0.4
-"""Minimum contrast of speckled ground: about that of six looks."""
+_SPECKLED = 0.4  # minimum contrast of speckled ground: about that of six looks
 
 _MIN_SKEWNESS = 0.2
 """Minimum negative skewness of the amplitude that is evidence of decibels. Measured: up to 0.13 for amplitude read as
 power; 0.25 for decibels of 16 looks, more of fewer."""
 
-_SMOOTH = 0.1
-"""Maximum contrast of ground without speckle and coarse quantisation."""
-
-_MIN_VALUES = 8
-"""Minimum number of different values in a block of ground for statistics of speckle."""
-
-_MAX_LOOKS = 1e6
-"""Maximum number of looks; more mean no speckle."""
+_SMOOTH = 0.1  # maximum contrast of ground without speckle and coarse quantisation
+_MIN_VALUES = 8  # minimum number of different values in a block of ground for statistics of speckle
+_MAX_LOOKS = 1e6  # maximum number of looks; more mean no speckle
 
 _WIDTH_RATIOS = {"speckle": (0.5, 1.7), "structure": (0.8, 2.0)}
 """Range of measured over stated resolution, by correlation of speckle and by the sharpest structure, which may be
 smoother than a point but not sharper."""
 
-_MIN_RESOLUTION = 0.5
-"""Minimum resolution, pixels."""
+_MIN_RESOLUTION = 0.5  # minimum resolution, pixels
 
 _DECIBELS = "quantity='db', with `scale` and `offset` for decibels in 8 bits"
 
@@ -75,14 +68,9 @@ _MIN_CORRELATION = 0.1
 _MAX_CORRELATION = 0.75
 """Maximum mean correlation of a block's pixels: above, a block holds hardly more than one resolution cell."""
 
-_ROUNDS = 10
-"""Fixed-point iterations for widths and the variance of block means, which depend on each other."""
-
-_BRIGHT_DB = 25.0
-"""Dynamic range of the sharpness test, dB below the image's maximum."""
-
-_SHARPEST = 0.9999
-"""Quantile of curvatures that represents the sharpest structure, but not a single pixel."""
+_ROUNDS = 10  # fixed-point iterations for widths and the variance of block means, which depend on each other
+_BRIGHT_DB = 25.0  # dynamic range of the sharpness test, dB below the image's maximum
+_SHARPEST = 0.9999  # quantile of curvatures that represents the sharpest structure, but not a single pixel
 
 
 def examine_units(dataset: Dataset, examined: Examination) -> bool:
@@ -140,7 +128,7 @@ def _speckle(dataset: Dataset, examined: Examination) -> bool:
     if ground is None:
         examined.checks["unit"] = "cannot be determined: too little ground around the target"
         return False
-    if ground.values < _MIN_VALUES and ground.contrast > _SMOOTH:
+    if ground.coarse and ground.contrast > _SMOOTH:
         few = f"the ground has only {ground.values:g} different values in a block of pixels"
         examined.checks["unit"] = f"cannot be determined: so coarsely are pixels quantised that {few}"
         return False

@@ -24,60 +24,43 @@ Write = Callable[[Any, Path, Colour], object]
 
 @dataclass(frozen=True)
 class Format:
-    """File format: the `FORMAT` of a module `format_ENDING.py` in this folder, or an entry point named ENDING.
-
-    Attributes
-    ----------
-    writers : mapping of Content to Write
-        Writers by content; the first content is the default.
-    opened_with : mapping of Content to str
-        Programs that open it.
-    recognises : callable (bytes, int) -> bool
-        Return whether a file with these first bytes and this size has the format: no other file is replaced.
-    coordinates : {"scene", "map", "degrees"}
-        Coordinate system: that of the scene, with the georeference in a sidecar file; that of a map if the run has a
-        georeference, or else the scene's; or longitudes and latitudes.
-    named_by_content : bool
-        True if names of files that end with a content choose it, as gamma0.tif and village-gamma0.tif.
-    up : str
-        Vertical axis of meshes, for the summary.
-    """
+    """File format: the `FORMAT` of a module `format_ENDING.py` in this folder, or an entry point named ENDING."""
 
     writers: Mapping[Content, Write]
+    """Writers by content; the first content is the default."""
     opened_with: Mapping[Content, str]
+    """Programs that open it, by content."""
     recognises: Recognises
+    """Predicate of a file of the format, by its first bytes and its size: no other file is replaced."""
     coordinates: Coordinates = "scene"
+    """Coordinate system: "scene", with the georeference in a sidecar file; "map" if the run has a georeference, or else
+    the scene's; or "degrees", longitudes and latitudes."""
     named_by_content: bool = False
+    """True if names of files that end with a content choose it, as gamma0.tif and village-gamma0.tif."""
     up: str = "z up"
+    """Vertical axis of meshes, for the summary."""
 
 
-def mesh_format(recognises: Recognises, up: str = "z up") -> Format:
+def mesh_format(recognises: Recognises) -> Format:
     """Return a format of meshes that `write_mesh` supports."""
     writers: Mapping[Content, Write] = {"mesh": lambda mesh, path, _: write_mesh(path, mesh)}
-    return Format(writers, {"mesh": "any mesh viewer"}, recognises, up=up)
+    return Format(writers, {"mesh": "any mesh viewer"}, recognises)
 
 
 @dataclass(frozen=True)
 class Points:
-    """Points of a surface.
-
-    Attributes
-    ----------
-    positions, normals : numpy.ndarray, float32 [P, 3]
-        World frame, m, and unit normals.
-    gamma0 : numpy.ndarray, float32 [P], or None
-        γ⁰, linear, if the method estimates it.
-    place : Place or None
-        Georeference of the world frame, if known.
-    system : MapSystem or None
-        Coordinate system of the file, if its format and the run support maps.
-    """
+    """Points of a surface."""
 
     positions: Float32[np.ndarray, "p 3"]
+    """World frame, m."""
     normals: Float32[np.ndarray, "p 3"]
+    """Unit normals."""
     gamma0: Float32[np.ndarray, " p"] | None
+    """γ⁰, linear, if the method estimates it."""
     place: Place | None = None
+    """Georeference of the world frame, if known."""
     system: MapSystem | None = None
+    """Coordinate system of the file, if its format and the run support maps."""
 
     def columns(self) -> dict[str, Float32[np.ndarray, " p"]]:
         """Return columns besides positions, by name."""

@@ -57,34 +57,19 @@ _MAKE_ONE = (
 
 @dataclass(frozen=True)
 class MapSystem:
-    """Projected coordinate system in metres, and the scene in it: east, north and height.
-
-    Heights have the datum of the place.
-
-    Attributes
-    ----------
-    place : Place
-        Georeference of the scene.
-    crs : pyproj.CRS
-        System without heights.
-    """
+    """Projected coordinate system in metres, and the scene in it: east, north and height, in the datum of the place."""
 
     place: Place
+    """Georeference of the scene."""
     crs: Any
+    """System without heights, pyproj.CRS."""
 
     @classmethod
     def of(cls, place: Place, crs: str | None = None) -> Self:
         """Return the named system, such as "EPSG:32632"; by default UTM, or UPS beyond 84° north and 80° south.
 
-        Raises
-        ------
-        SarsplatError
-            If pyproj is not installed, or the system is unknown, not horizontal in metres, or cannot show the place.
-
-        Warns
-        -----
-        SarsplatWarning
-            If the place is outside the system's area of use.
+        Raise SarsplatError if pyproj is not installed, or the system is unknown, not horizontal in metres, or cannot
+        show the place; warn if that is outside the system's area of use.
         """
         with needed("gis", "a coordinate system"):
             import pyproj

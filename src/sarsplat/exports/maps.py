@@ -25,9 +25,6 @@ from sarsplat.runs import Run
 from sarsplat.surface.from_above import ground_seen, uppermost, without_holes
 from sarsplat.surface.neighbours import spacing_m
 
-_MOST_PIXELS = 16384
-"""Maximum number of pixels along a side."""
-
 _PIXEL, _POINT = 60, 200
 """Peak memory per pixel of heights or γ⁰, and per point, bytes."""
 _ON_GROUND = 200
@@ -259,13 +256,7 @@ def _padded(raster: Raster, margin: int) -> Raster:
 def _counted(
     counts: Float64[np.ndarray, " 2"], pixel: float, each_bytes: float, more_bytes: float = 0.0
 ) -> tuple[int, int]:
-    """Return the numbers of pixels along two sides; raise if they are too many, or exceed the memory."""
-    largest = float(max(counts))
-    if largest > _MOST_PIXELS:
-        raise SarsplatError(
-            f"a map with a side of {largest:.0f} pixels of {pixel:g} m is too large; give a larger `pixel_m`, such as "
-            f"{2 * largest * pixel / _MOST_PIXELS:.2g}"
-        )
+    """Return the numbers of pixels along two sides; raise if they exceed the memory."""
     one, other = map(int, counts)
     needed = each_bytes * one * other + more_bytes
     larger = _LARGER * pixel * math.sqrt(max(1.0, needed / max(free_bytes(), 1.0)))

@@ -62,19 +62,8 @@ def bounded_region(
     ground z = 0. These bounds contain all of the target, also its hidden parts. Aloft, there is no ground, and all
     radars may be on one side; then hidden parts on the other side may be cut off.
 
-    Parameters
-    ----------
-    power : numpy.ndarray [V, rows, columns]
-        β⁰ of the training images, linear power, without ground.
-    views, grid
-        Views and pixels of the images.
-    threshold_db : float
-        Minimum level of bright pixels, relative to `usual_peak` of all, dB.
-
-    Raises
-    ------
-    SarsplatError
-        If an image has no bright pixel, or the bounds leave no space.
+    `power` is β⁰ of the training images, linear, without ground; bright pixels are at least `threshold_db` above
+    `usual_peak` of all. Raise if an image has no bright pixel, or the bounds leave no space.
     """
     from scipy.optimize import linprog  # slow to import, and only needed by trainings
 

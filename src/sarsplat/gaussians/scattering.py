@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields, replace
-from functools import cache
-from inspect import signature
 from typing import Any, ClassVar, Self, TypeVar
 
 import torch
@@ -151,31 +149,15 @@ def register_scattering(law: L) -> L:
     Raises
     ------
     SarsplatError
-        If it is not a law with a kind and all methods, or another law has that kind.
+        If it is not a law with a kind, or another law has that kind.
     """
     if not (isinstance(law, type) and issubclass(law, Scattering) and isinstance(getattr(law, "kind", None), str)):
         raise SarsplatError(f"law is {described(law)}; give a class derived from Scattering with a kind, a str")
-    _check_methods(law)
     other = SCATTERINGS.get(law.kind)
     if other is not None and _home(other) != _home(law):
         raise SarsplatError(f"the scattering law {law.kind!r} is {_home(other)} already; give yours another kind")
     SCATTERINGS.add(law.kind, law)
     return law
-
-
-@cache
-def _check_methods(law: type[Scattering]) -> None:
-    """Raise if a law lacks methods, or its methods take other arguments."""
-    if missing := sorted(law.__abstractmethods__):
-        raise SarsplatError(f"the scattering law {law.__name__} has no {' or '.join(missing)}; define that, too")
-    for name in ("amplitudes", "initial"):
-        given = [*signature(getattr(Scattering, name)).parameters]
-        try:
-            signature(getattr(law, name)).bind(*given)
-        except TypeError as error:
-            raise SarsplatError(
-                f"{law.__name__}.{name} does not take ({', '.join(given)}): {error}; define it as Scattering does"
-            ) from error
 
 
 def _home(law: type[Scattering]) -> str:
@@ -202,7 +184,6 @@ def scattering_named(kind: str) -> type[Scattering]:
             f"the entry point {kind!r} of sarsplat.scattering names {law!r}, which is not a law of that kind; correct "
             "its package"
         )
-    _check_methods(law)
     return law
 
 

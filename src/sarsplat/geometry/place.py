@@ -2,7 +2,7 @@
 
 import math
 import sys
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, Literal, Self, get_args
@@ -196,12 +196,14 @@ def places_of(value: object, what: str) -> Float64[np.ndarray, "*n 3"]:
     return places
 
 
+def unit_of(vector: Float64[np.ndarray, " 3"] | Sequence[float | int]) -> Float64[np.ndarray, " 3"]:
+    """Return the vector of length 1 along one of any length: no square overflows."""
+    scaled = np.asarray(vector, float) / np.abs(vector).max()
+    return scaled / np.linalg.norm(scaled)
+
+
 def _numbers(value: object) -> Float64[np.ndarray, "*shape"] | None:
-    """Return real numbers as float64, or None for anything else, including text and booleans."""
-    if isinstance(value, Iterable) and not hasattr(value, "dtype"):
-        value = [*value]
-        if any(isinstance(one, bool | str) for one in value):
-            return None
+    """Return real numbers as float64, or None for anything else, such as text."""
     try:
         array = np.asarray(value)
         return None if array.dtype.kind not in "iufO" else array.astype(np.float64)

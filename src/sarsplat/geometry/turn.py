@@ -9,7 +9,7 @@ from jaxtyping import Float64
 
 from sarsplat.arguments import checks_arguments, expect, is_number
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.geometry.place import direction_of
+from sarsplat.geometry.place import direction_of, unit_of
 from sarsplat.geometry.view import View
 
 _FARTHEST_DEG = 36_000.0  # a hundred turns
@@ -121,16 +121,13 @@ class Turn:
 
     @property
     def _unit(self) -> Float64[np.ndarray, " 3"]:
-        axis = np.array(self.axis) / np.abs(self.axis).max()  # of any length: no square overflows
-        return axis / np.linalg.norm(axis)
+        return unit_of(self.axis)
 
 
 def turned(
     vector: Float64[np.ndarray, " 3"], axis: Float64[np.ndarray, " 3"] | Sequence[float | int], angle_deg: float
 ) -> Float64[np.ndarray, " 3"]:
     """Rotate a vector counter-clockwise about an axis of any length, seen from its tip (O. Rodrigues, 1840)."""
-    unit = np.asarray(axis, float)
-    unit = unit / np.abs(unit).max()  # of any length: no square overflows
-    unit = unit / np.linalg.norm(unit)
+    unit = unit_of(axis)
     cos, sin = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
     return vector * cos + np.cross(unit, vector) * sin + unit * (unit @ vector) * (1 - cos)

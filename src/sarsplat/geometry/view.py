@@ -12,7 +12,7 @@ from sarsplat.arguments import checks_arguments, described, is_number
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry.grids import ImageGrid
 from sarsplat.geometry.look import Look
-from sarsplat.geometry.place import direction_of
+from sarsplat.geometry.place import direction_of, unit_of
 from sarsplat.names import RadarSide
 
 _MAX_AZIMUTH = 3600  # degrees: ten turns
@@ -155,8 +155,7 @@ class View:
         """
         sight, axis = direction_of(line_of_sight, "line of sight"), direction_of(rotation_axis, "rotation axis")
         level = cls.towards(sight, aloft=True)
-        axis = axis / np.abs(axis).max()  # of any length: no square overflows
-        along = np.cross(level.direction, axis / np.linalg.norm(axis))  # as the radar moves, seen from the target
+        along = np.cross(level.direction, unit_of(axis))  # as the radar moves, seen from the target
         if not np.linalg.norm(along) > _MIN_SINE:
             raise SarsplatError(
                 f"the rotation axis {axis.tolist()} is along the line of sight, from where nothing is seen to turn; "

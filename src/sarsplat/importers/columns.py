@@ -85,7 +85,7 @@ _COMPASS = {"compass", "north"}
 _ONLY_IF_NAMED = ("scale", "offset")
 """Meanings without usual names: too many things are called that."""
 
-_INSTEAD = {"azimuth": {"heading"}, "heading": {"azimuth"}}
+_INSTEAD = {"azimuth": "heading", "heading": "azimuth"}
 """Meanings that exclude each other if one is chosen."""
 
 _FACTOR_WORDS = {"scale", "gain", "factor", "calfactor", "calibration", "cal"}
@@ -111,13 +111,11 @@ def chosen_columns(table: CsvTable, named: Mapping[str, str]) -> Columns:
         _require_known(f"{table.path} has no column", column, table.columns)
         chosen[meaning] = column
     elevations = {"grazing", "incidence"}
-    named_elevation = elevations & set(chosen)
-    if elevations <= set(chosen):
+    if elevations <= chosen.keys():
         raise SarsplatError("`columns` names both a grazing and an incidence angle; name one of them")
+    decided = {*_ONLY_IF_NAMED, *(elevations if elevations & chosen.keys() else ())}
     for meaning in MEANINGS:
-        others = elevations if meaning in elevations else _INSTEAD.get(meaning, set())
-        otherwise_named = bool(others & set(chosen)) and (meaning not in elevations or named_elevation)
-        if meaning not in (*chosen, *_ONLY_IF_NAMED) and not otherwise_named:
+        if meaning not in chosen.keys() | decided and _INSTEAD.get(meaning) not in chosen:
             usual = recognised(table, meaning, chosen)
             if usual is not None:
                 chosen[meaning] = usual

@@ -106,19 +106,12 @@ def _empty_corners(zeros: Bool[np.ndarray, "rows columns"]) -> Bool[np.ndarray, 
 
 def _filled_rectangle(filled: Bool[np.ndarray, "rows columns"]) -> tuple[slice, slice]:
     """Return a large rectangle without empty pixels: lines at its sides are taken off, the emptiest first."""
-    top, bottom, left, right = 0, filled.shape[0], 0, filled.shape[1]
-    while not (inside := filled[top:bottom, left:right]).all():
+    ends = [0, filled.shape[0], 0, filled.shape[1]]  # top and bottom, left and right
+    while not (inside := filled[slice(*ends[:2]), slice(*ends[2:])]).all():
         lines = inside[0].mean(), inside[-1].mean(), inside[:, 0].mean(), inside[:, -1].mean()
-        match int(np.argmin(lines)):
-            case 0:
-                top += 1
-            case 1:
-                bottom -= 1
-            case 2:
-                left += 1
-            case _:
-                right -= 1
-    return slice(top, bottom), slice(left, right)
+        emptiest = int(np.argmin(lines))
+        ends[emptiest] += 1 if emptiest in (0, 2) else -1
+    return slice(*ends[:2]), slice(*ends[2:])
 
 
 def common_part(

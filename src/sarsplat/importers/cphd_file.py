@@ -16,8 +16,8 @@ from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.extras import needed
 from sarsplat.geometry import Place
-from sarsplat.importers.files import raise_damaged, whole_in
-from sarsplat.importers.sarkit_xml import LONGEST_XML, Metadata, any_version, plain_xml, printable, sarkit_errors
+from sarsplat.importers.files import printable, raise_damaged, whole_in
+from sarsplat.importers.sarkit_xml import LONGEST_XML, Metadata, any_version, plain_xml, sarkit_errors
 
 if TYPE_CHECKING:
     import lxml.etree
@@ -153,8 +153,7 @@ def open_cphd(path: Path) -> Cphd:
 
 def _tree(path: Path, file: BinaryIO) -> tuple[lxml.etree._ElementTree, dict[str, int]]:
     """Read the metadata, and the lengths of the blocks, which must lie in the file."""
-    size = file.seek(0, 2)
-    file.seek(0)
+    size = path.stat().st_size
     head = file.read(_LONGEST_HEADER)
     lines, end, _ = head.partition(_END)
     first, *others = lines.decode("latin-1").split("\n")
@@ -208,8 +207,6 @@ def _channels(path: Path, tree: lxml.etree._ElementTree, blocks: dict[str, int])
         if not name.isprintable() or "'" in name or len(name) > 200 or name != one.findtext("{*}Identifier"):
             raise_damaged(path, f"has a channel called {shown(name)}, which is no name")
         found.append(Channel(name, pulses, samples, _polarisation(tree, name)))
-    if len({one.name for one in found}) < len(found):
-        raise_damaged(path, "has two channels of the same name")
     return found
 
 

@@ -48,6 +48,11 @@ def whole_in(path: Path, text: str, name: str, least: int, most: int) -> int:
     return int(number_in(path, number, name, least, most))
 
 
+def printable(text: str | None) -> str:
+    """Return the text of a field without unprintable letters, cut to 80."""
+    return "".join(letter if letter.isprintable() else "?" for letter in (text or "").strip())[:80]
+
+
 def check_pixel(path: Path, pixel: tuple[float, float], shape: tuple[int, int]) -> None:
     """Raise if a pixel is outside the rows and columns of a file's image."""
     if not all(0 <= value <= size - 1 for value, size in zip(pixel, shape, strict=True)):

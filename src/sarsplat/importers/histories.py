@@ -23,9 +23,6 @@ _RELATIVES = {
     b"CRSD": "raw radar data (CRSD), whose pulses are not compensated; get it as CPHD or SICD from who made it",
     b"NITF": _NITF,
     b"NSIF": _NITF,
-    b"<?xml": "XML, perhaps the metadata of phase history, without pulses; give the file that holds both",
-    b"<CPHD": "the metadata of a CPHD (XML), without its pulses; give the file that holds both",
-    b"<CRSD": "the metadata of raw radar data (CRSD, XML); get CPHD or SICD from who made it",
 }
 """First bytes of other radar data → description and remedy."""
 
@@ -79,7 +76,7 @@ def read_phase_history(path: Path, channel: str | None = None) -> PhaseHistory:
     known = format_of(path)
     with open_file(path) as file:
         start = file.read(_HEAD)
-    if what := next((what for magic, what in _RELATIVES.items() if start.lstrip().startswith(magic)), None):
+    if what := next((what for magic, what in _RELATIVES.items() if start.startswith(magic)), None):
         raise SarsplatError(f"{path} is {what}")
     if known is None:
         contained = (one for one in FORMATS.loaded().values() if one.container and start.startswith(one.container))

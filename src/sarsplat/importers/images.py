@@ -230,14 +230,17 @@ def with_unplaced(
     return (replace(dataset, source={**dataset.source, UNPLACED: listed}) if listed else dataset), pictures
 
 
-def check_sides(size_m: float, rows: float, columns: float, spacing: str) -> None:
-    """Raise if a size makes too few or too many pixels of this spacing."""
+def sides_of(size_m: float, spacing_m: tuple[float, float]) -> tuple[int, int]:
+    """Return rows and columns of an image of a size, in pixels of a spacing (azimuth, range); raise if out of range."""
+    check_size(size_m)
     fewest, most = _PIXELS
-    if not (math.isfinite(rows + columns) and fewest <= min(rows, columns) and max(rows, columns) <= most):
+    columns, rows = (round(min(size_m / step, 1e9)) if step > 0 else 0 for step in spacing_m)  # 0 also of NaN
+    if not fewest <= min(rows, columns) <= max(rows, columns) <= most:
         raise SarsplatError(
-            f"`size_m={size_m:g}` makes {columns:.0f} × {rows:.0f} pixels of {spacing} (azimuth × range); give a size "
-            f"that makes {fewest} to {most} a side"
+            f"`size_m={size_m:g}` makes {columns} × {rows} pixels of {spacing_m[0]:.3g} m × {spacing_m[1]:.3g} m "
+            f"(azimuth × range); give a size that makes {fewest} to {most} a side"
         )
+    return rows, columns
 
 
 def check_train_views(train_views: int | None, images: int) -> None:

@@ -44,8 +44,7 @@ def read_mat(path: str | Path) -> dict[str, Any]:
     """
     path = Path(path)
     with open_file(path) as file:
-        size = file.seek(0, 2)
-        file.seek(0)
+        size = path.stat().st_size
         decoder = _Decoder(path, _byte_order(path, file.read(128)), _EXPANSION * size + _FREE_BYTES)
         if not decoder.order:
             with opened_hdf5(path) as hdf5:

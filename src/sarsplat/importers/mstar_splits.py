@@ -25,10 +25,10 @@ class Part:
     depressions: tuple[int, ...]
     count: int
 
-    def holds(self, serial: str, depression: int) -> bool:
+    def holds(self, chip: Chip) -> bool:
         """Return whether a chip of the class belongs to it; one without a serial does."""
-        named = plain_name(serial).removeprefix("sn")  # as in SN_132
-        return depression in self.depressions and named in ("", plain_name(self.serial))
+        named = plain_name(chip.serial).removeprefix("sn")  # as in SN_132
+        return chip.depression in self.depressions and named in ("", plain_name(self.serial))
 
     def __str__(self) -> str:
         return f"{self.target} ({self.serial}) at {' and '.join(f'{angle}°' for angle in self.depressions)}"
@@ -56,19 +56,22 @@ def _parts(depressions: tuple[int, ...], *parts: tuple[str, str, int]) -> tuple[
     return tuple(Part(target, serial, depressions, count) for target, serial, count in parts)
 
 
-_TRAIN_17 = _parts(
-    (17,),
-    ("2S1", "b01", 299),
-    ("BMP2", "9563", 233),
-    ("BRDM2", "E-71", 298),
-    ("BTR60", "k10yt7532", 256),
-    ("BTR70", "c71", 233),
-    ("D7", "92v13015", 299),
-    ("T62", "A51", 299),
-    ("T72", "132", 232),
-    ("ZIL131", "E12", 299),
-    ("ZSU234", "d08", 299),
+_VEHICLES = (
+    ("2S1", "b01", 299, 274),
+    ("BMP2", "9563", 233, 195),
+    ("BRDM2", "E-71", 298, 274),
+    ("BTR60", "k10yt7532", 256, 195),
+    ("BTR70", "c71", 233, 196),
+    ("D7", "92v13015", 299, 274),
+    ("T62", "A51", 299, 273),
+    ("T72", "132", 232, 196),
+    ("ZIL131", "E12", 299, 274),
+    ("ZSU234", "d08", 299, 274),
 )
+"""Class, serial, and numbers of chips at 17° and at 15°."""
+
+_TRAIN_17 = _parts((17,), *((target, serial, count) for target, serial, count, _ in _VEHICLES))
+_TEST_15 = _parts((15,), *((target, serial, count) for target, serial, _, count in _VEHICLES))
 
 
 def _trained(*targets: str) -> tuple[Part, ...]:
@@ -76,22 +79,7 @@ def _trained(*targets: str) -> tuple[Part, ...]:
 
 
 SPLITS: dict[MstarSplit, Split] = {
-    "soc": Split(
-        _TRAIN_17,
-        _parts(
-            (15,),
-            ("2S1", "b01", 274),
-            ("BMP2", "9563", 195),
-            ("BRDM2", "E-71", 274),
-            ("BTR60", "k10yt7532", 195),
-            ("BTR70", "c71", 196),
-            ("D7", "92v13015", 274),
-            ("T62", "A51", 273),
-            ("T72", "132", 196),
-            ("ZIL131", "E12", 274),
-            ("ZSU234", "d08", 274),
-        ),
-    ),
+    "soc": Split(_TRAIN_17, _TEST_15),
     "eoc-depression": Split(
         _trained("2S1", "BRDM2", "T72", "ZSU234"),
         _parts((30,), ("2S1", "b01", 288), ("BRDM2", "E-71", 287), ("T72", "A64", 288), ("ZSU234", "d08", 288)),
@@ -115,20 +103,13 @@ SPLITS: dict[MstarSplit, Split] = {
 
 @dataclass(frozen=True)
 class Divided:
-    """Chips of one class, divided by a split.
-
-    Attributes
-    ----------
-    train, test : list of Chip
-        Chips in the order of the files.
-    counts : list of dict
-        For each part: its "set" ("train" or "test"), "part" in words, the chips "found" and "published", and how many
-        of those found have no azimuth ("without_azimuth").
-    """
+    """Chips of one class, divided by a split, in the order of the files."""
 
     train: list[Chip]
     test: list[Chip]
     counts: list[dict[str, int | str]]
+    """For each part: its "set" ("train" or "test"), "part" in words, the chips "found" and "published", and how many
+    of those found have no azimuth ("without_azimuth")."""
 
 
 def divide(chips: Sequence[Chip], split: MstarSplit, target: str) -> Divided:
@@ -148,23 +129,12 @@ def divide(chips: Sequence[Chip], split: MstarSplit, target: str) -> Divided:
                 continue
             # chips without a serial belong to the only vehicle
             alone = sum(same_class(target, other.target) for other in parts) == 1
-            held = [
-                chip
-                for chip in chips
-                if part.holds(chip.serial, chip.depression) and (alone or plain_name(chip.serial))
-            ]
+            held = [chip for chip in chips if part.holds(chip) and (alone or plain_name(chip.serial))]
             held = [chip for chip in held if not any(chip is one for one in found["train"])]
             found[name] += held
+            numbers = {"found": len(held), "published": part.count}
             unplaced = sum(not chip.placed for chip in held)
-            counts.append(
-                {
-                    "set": name,
-                    "part": str(part),
-                    "found": len(held),
-                    "published": part.count,
-                    "without_azimuth": unplaced,
-                }
-            )
+            counts.append({"set": name, "part": str(part), **numbers, "without_azimuth": unplaced})
     if not found["train"]:
         present = sorted({f"{chip.serial or 'unnamed'} at {chip.depression}°" for chip in chips})
         lacking = " and ".join(str(part) for part in chosen.train if same_class(target, part.target))

@@ -18,6 +18,7 @@ from jaxtyping import Complex64, Float64
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data.dataset import Dataset
+from sarsplat.data.dataset_folder import HEADER
 from sarsplat.data.folders import refuse_existing
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.extras import needed
@@ -26,7 +27,15 @@ from sarsplat.geometry.responses import TAYLOR, UNIFORM, Taylor
 from sarsplat.importers.about import AboutScene
 from sarsplat.importers.files import each_once
 from sarsplat.importers.histories import read_phase_history
-from sarsplat.importers.images import assume, check_sides, check_train_views, dataset_of, place_of, write_imported
+from sarsplat.importers.images import (
+    assume,
+    check_size,
+    check_train_views,
+    dataset_of,
+    place_of,
+    sides_of,
+    write_imported,
+)
 from sarsplat.importers.measured_image import MeasuredImage
 from sarsplat.importers.phase_apertures import Aperture, apertures
 from sarsplat.importers.phase_history import FARTHEST_M, SPEED_OF_LIGHT, PhaseHistory, flights
@@ -118,9 +127,8 @@ def import_phase_history(
     SarsplatWarning
         If the slant plane is tilted, or the images contradict their metadata, or look odd (`sarsplat.examine`).
     """
-    refuse_existing(Path(out), overwrite, marker="dataset.json")
-    if weighting not in _WEIGHTINGS:
-        raise SarsplatError(f"the weighting {weighting!r} is unknown; choose {' or '.join(_WEIGHTINGS)}")
+    refuse_existing(Path(out), overwrite, marker=HEADER)
+    check_size(size_m)
     taper, around = _WEIGHTINGS[weighting], np.array(around_m, np.float64)
     if not (np.abs(around) <= FARTHEST_M).all():  # also catches NaN
         raise SarsplatError(
@@ -130,9 +138,7 @@ def import_phase_history(
     histories, origin = _in_one_world(histories, place, around)
     if origin is not None:
         around = np.zeros(3)
-    sides = np.array([(x, y, 0.0) for x in (-0.5, 0.5) for y in (-0.5, 0.5)]) * (
-        size_m if math.isfinite(size_m) else 0.0
-    )
+    sides = np.array([(x, y, 0.0) for x in (-0.5, 0.5) for y in (-0.5, 0.5)]) * size_m
     parts = [
         aperture
         for flight in flights([history.seeing(around + sides) for history in histories])
@@ -143,13 +149,12 @@ def import_phase_history(
     check_train_views(train_views, len(parts))  # before minutes of work
     narrowest = min(min(aperture.resolution_m(taper)) for aperture in parts)
     spacing = _SPACING * narrowest if spacing_m is None else spacing_m
+    shape = sides_of(size_m, (spacing, spacing))
     images = []
     with progress("focusing pulses", sum(len(aperture.history) for aperture in parts), quiet) as reporter:
         for index, aperture in enumerate(parts):
             finest = aperture.resolution_m(taper)
-            pixels = size_m / spacing if size_m > 0 and spacing > 0 else 0.0  # also of NaN
-            check_sides(size_m, pixels, pixels, f"{spacing:.3g} m")
-            grid = ImageGrid(round(pixels), round(pixels), (spacing, spacing), finest)
+            grid = ImageGrid(*shape, (spacing, spacing), finest)
             signal = focus(aperture, grid, taper, reporter.advance)
             images.append(MeasuredImage(f"{index:03d}", signal, aperture.view, grid.spacing_m, finest, response=taper))
     source = _source(files, parts, around_m, taper)
@@ -161,13 +166,13 @@ def _in_one_world(
     histories: list[PhaseHistory], place: tuple[float, ...] | None, around_m: Float64[np.ndarray, " 3"]
 ) -> tuple[list[PhaseHistory], Place | None]:
     """Move histories that have a place to one world frame, whose origin is `around_m` from `place` or the first's."""
-    lacking = next((history for history in histories if history.place is None), None)
+    lacking = [history.name for history in histories if history.place is None]
+    if place is None and len(lacking) == len(histories):
+        return histories, None
     first = histories[0].place
-    if lacking is not None or first is None:
-        if lacking is None or (place is None and all(history.place is None for history in histories)):
-            return histories, None
+    if lacking or first is None:
         remedy = "leave out `place`" if place else "import files that have one by themselves"
-        raise SarsplatError(f"{lacking.name} has no place on earth; {remedy}")
+        raise SarsplatError(f"{lacking[0]} has no place on earth; {remedy}")
     if place is not None:
         first = place_of(place, first.height_m)
     origin = Place.of_ecef(first.to_ecef(around_m))

@@ -159,8 +159,7 @@ def read_phoenix(path: str | Path) -> PhoenixChip:
     """
     path = Path(path)
     with open_file(path) as file:
-        size = file.seek(0, 2)
-        file.seek(0)
+        size = path.stat().st_size
         start = file.read(_LONGEST_HEADER)
         length, header = _parse_header(path, start)
         rows, columns = (

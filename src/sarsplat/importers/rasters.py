@@ -130,8 +130,7 @@ def _plain_tiff(path: Path) -> tuple[Shaped[np.ndarray, "rows columns"], Tags] |
     if any(path.with_name(path.name + ending).exists() for ending in (".msk", _SIDECAR)):
         return None
     with open_file(path) as file:
-        size = file.seek(0, 2)
-        file.seek(0)
+        size = path.stat().st_size
         try:
             with tifffile.TiffFile(file) as tiff:
                 page: Any = tiff.pages.first
@@ -164,22 +163,16 @@ def _require_plain(path: Path, file: Any) -> None:
     """Raise if the pixels are not plain measured values: several pages or polarisations, inverted or a palette."""
     channels = [_CHANNEL.search(name or "") for name in file.descriptions]
     polarisations = [*dict.fromkeys(channel[0].upper() for channel in channels if channel)]
-    for wrong, problem in (
-        (bool(file.subdatasets), "has several pages; give one image for each file"),
-        (
-            len(polarisations) > 1,
-            f"has bands of several polarisations ({', '.join(polarisations)}); give one in each file, as by "
-            "gdal_translate -b 1",
-        ),
-        (file.count > 3, f"has {file.count} bands; give one, or two: the real and the imaginary part"),
-        (
-            file.tags(ns="IMAGE_STRUCTURE").get("MINISWHITE") == "YES",
-            "says that zero is white; write it again with black as zero",
-        ),
-        (
-            any(kind.name == "palette" for kind in file.colorinterp),
-            "holds numbers of colours in a palette; give the measured values, in grey",
-        ),
-    ):
-        if wrong:
+    several = f"has bands of several polarisations ({', '.join(polarisations)})"
+    white_zero = file.tags(ns="IMAGE_STRUCTURE").get("MINISWHITE") == "YES"
+    palette = any(kind.name == "palette" for kind in file.colorinterp)
+    problems = {
+        "has several pages; give one image for each file": bool(file.subdatasets),
+        f"{several}; give one in each file, as by gdal_translate -b 1": len(polarisations) > 1,
+        f"has {file.count} bands; give one, or two: the real and the imaginary part": file.count > 3,
+        "says that zero is white; write it again with black as zero": white_zero,
+        "holds numbers of colours in a palette; give the measured values, in grey": palette,
+    }
+    for problem, found in problems.items():
+        if found:
             raise SarsplatError(f"{path} {problem}")

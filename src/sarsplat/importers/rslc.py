@@ -25,14 +25,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import Place, Stack, View
 from sarsplat.importers.about import AboutImages
 from sarsplat.importers.files import check_pixel, raise_damaged
-from sarsplat.importers.images import (
-    check_heading,
-    check_sides,
-    check_size,
-    dataset_of,
-    said_of_heading,
-    write_imported,
-)
+from sarsplat.importers.images import check_heading, dataset_of, said_of_heading, sides_of, write_imported
 from sarsplat.importers.measured_image import MeasuredImage
 from sarsplat.importers.phase_history import SPEED_OF_LIGHT
 from sarsplat.importers.rslc_file import Rslc, read_rslc
@@ -201,9 +194,7 @@ def _cut(
     rslc: Rslc, spot: tuple[float, float], size_m: float, spacing: tuple[float, float]
 ) -> tuple[tuple[int, int], tuple[int, int]]:
     """Return first and past the last index of azimuth times, and of slant ranges."""
-    check_size(size_m)
-    columns, rows = (round(size_m / step) for step in spacing)
-    check_sides(size_m, rows, columns, f"{spacing[0]:.3g} m × {spacing[1]:.3g} m")
+    rows, columns = sides_of(size_m, spacing)
     ends = [(round(at - count / 2), round(at - count / 2) + count) for at, count in zip(spot, (columns, rows))]
     if any(low < 0 or high > size for (low, high), size in zip(ends, rslc.shape, strict=True)):
         whole = " × ".join(f"{count * step:.4g} m" for count, step in zip(rslc.shape, spacing, strict=True))

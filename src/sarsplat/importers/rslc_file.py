@@ -18,7 +18,7 @@ from jaxtyping import Complex64, Float64
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry.place import ecef_of_geodetic
-from sarsplat.importers.files import complex_of, hdf5_array, number_in, opened_hdf5, raise_damaged
+from sarsplat.importers.files import complex_of, hdf5_array, number_in, opened_hdf5, printable, raise_damaged
 from sarsplat.importers.pictures import power_or_signal
 
 if TYPE_CHECKING:
@@ -240,7 +240,7 @@ class _Fields:
         stored = hdf5_array(self._path, self._file, name)
         value = stored[()] if stored.shape == () and stored.dtype.kind in "SO" else b"?"
         text = value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
-        return "".join(letter if letter.isprintable() else "?" for letter in text.strip("\0 "))[:80]
+        return printable(text.strip("\0"))
 
     def geolocation(self, name: str) -> GeolocationGrid:
         axes, steps = zip(*(self.axis(f"{name}/{one}") for one in _AXES), strict=True)

@@ -14,7 +14,7 @@ import numpy as np
 
 from sarsplat.data.files import open_file
 from sarsplat.errors import SarsplatError, shown
-from sarsplat.importers.files import raise_damaged
+from sarsplat.importers.files import printable, raise_damaged
 
 if TYPE_CHECKING:
     import lxml.etree
@@ -44,11 +44,6 @@ class Metadata:
 def any_version(name: str) -> str:
     """Return a path of elements of any namespace, which differs between versions."""
     return "/".join("{*}" + part for part in name.split("/"))
-
-
-def printable(text: str | None) -> str:
-    """Return text without unprintable letters, cut to 80."""
-    return "".join(letter if letter.isprintable() else "?" for letter in (text or "").strip())[:80]
 
 
 def plain_xml(path: Path, text: bytes, kind: str) -> lxml.etree._ElementTree:
@@ -115,8 +110,7 @@ def read_nitf(path: Path, file: BinaryIO) -> tuple[lxml.etree._ElementTree, list
     """
     import jbpy
 
-    size = file.seek(0, 2)
-    file.seek(0)
+    size = path.stat().st_size
     if file.read(len(_NITF_MAGICS[0])) not in _NITF_MAGICS:
         raise SarsplatError(f"{path} is not a NITF file of version 2.1, so it is not a SICD; give SICD files")
     file.seek(_FILE_LENGTH_AT)

@@ -25,11 +25,11 @@ from sarsplat.importers.files import each_once, warn_caller
 from sarsplat.importers.images import (
     assume,
     check_heading,
-    check_sides,
     check_size,
     dataset_of,
     place_of,
     said_of_heading,
+    sides_of,
     write_imported,
 )
 from sarsplat.importers.measured_image import MeasuredImage
@@ -126,19 +126,18 @@ def import_sicd(
     layouts *= len(sicds) // len(layouts)  # all channels of a stack have the first one's
     finest = np.min([spacing_of(sicd, layout) for sicd, layout in zip(sicds, layouts, strict=True)], axis=0)
     spacing = float(finest[0]), float(finest[1])
-    columns, rows = (round(size_m / step) for step in spacing)
-    check_sides(size_m, rows, columns, f"{spacing[0]:.3g} m × {spacing[1]:.3g} m")
+    shape = sides_of(size_m, spacing)
     absolute = all(sicd.calibration for sicd in sicds)
     stems = [path.stem for path in paths]
     same = Counter(stems)
     names = [stem if same[stem] == 1 else f"{stem}-{number}" for number, stem in enumerate(stems, 1)]
     images = (
-        [stack_image(names[0], sicds, spot, layouts[0], (rows, columns), spacing, absolute)]
+        [stack_image(names[0], sicds, spot, layouts[0], shape, spacing, absolute)]
         if stack
         else [
             MeasuredImage(
                 name,
-                chip(sicd, layout, (rows, columns), spacing, absolute),
+                chip(sicd, layout, shape, spacing, absolute),
                 layout.view,
                 spacing,
                 resolution_of(sicd, layout),

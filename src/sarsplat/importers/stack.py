@@ -117,7 +117,12 @@ def import_stack(
 
 def _channels(listed: PictureTable, images: Sequence[MeasuredImage]) -> dict[str, list[Channel]]:
     """Group the images of the table's rows by view."""
-    _check_columns(listed)
+    if "view" not in listed.columns or not listed.columns.keys() & {"baseline", "polarisation"}:
+        raise SarsplatError(
+            f"{listed.path} lacks a column of views, whose rows are channels, or one of baselines (b/R, rad) or "
+            "polarisations; name them with `columns={'view': 'NAME', 'baseline': 'NAME'}` (or polarisation), or import "
+            "single images with `sarsplat import folder`"
+        )
     channels: dict[str, list[Channel]] = {}
     for row, image in zip(listed.pictures, images, strict=True):
         if row.view is None:
@@ -128,16 +133,6 @@ def _channels(listed: PictureTable, images: Sequence[MeasuredImage]) -> dict[str
             raise SarsplatError(f"{row.name} is zero everywhere, which no channel of a stack is; leave out its row")
         channels.setdefault(row.view, []).append((row, image))
     return channels
-
-
-def _check_columns(listed: PictureTable) -> None:
-    columns = listed.columns
-    if "view" not in columns or not columns.keys() & {"baseline", "polarisation"}:
-        raise SarsplatError(
-            f"{listed.path} lacks a column of views, whose rows are channels, or one of baselines (b/R, rad) or "
-            "polarisations; name them with `columns={'view': 'NAME', 'baseline': 'NAME'}` (or polarisation), or import "
-            "single images with `sarsplat import folder`"
-        )
 
 
 def _stack(

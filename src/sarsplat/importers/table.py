@@ -269,10 +269,8 @@ def _heading_deg(table: CsvTable, row: Row, columns: Columns, heading: str | Non
 
 def _require_right_angle(table: CsvTable, row: Row, columns: Columns) -> None:
     """Raise if grazing and incidence angle of a row do not add to 90°, as depressions at the radar do not."""
-    if not {"grazing", "incidence"} <= columns.keys():
-        return
-    names = columns["grazing"], columns["incidence"]
-    if not all(row[1][name] for name in names):
+    names = [columns[one] for one in ("grazing", "incidence") if one in columns and row[1][columns[one]]]
+    if len(names) < 2:
         return
     grazing, incidence = (table.number(row, name) for name in names)
     if abs(grazing + incidence - 90) > _ROUNDED_DEG:

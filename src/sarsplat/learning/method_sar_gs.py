@@ -214,8 +214,7 @@ class GaussianReconstruction(Reconstruction):
         """
         ground = self.model.ground()
         target = without_imitated_ground(self.gaussians, points, self.grid.cell_m, ground)
-        rays = RayGrid.for_image(self.grid, _EVALUATION_RAYS_PER_PIXEL)
-        return scene_masks(target, ground, views, self.model.as_displaced(self.grid), rays)
+        return scene_masks(target, ground, views, self.model.as_displaced(self.grid), self._rays(self.grid))
 
     @property
     def azimuth_offset_deg(self) -> Float64[np.ndarray, " k"] | None:

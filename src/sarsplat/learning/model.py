@@ -52,7 +52,7 @@ class SceneModel:
         self.windows: Windows | None = None
         self.learned = self._learned()
         self.parameters: Parameters = {}
-        count = len(next(parameters[name] for name, learned in self.learned.items() if learned.per_gaussian))
+        count = len(parameters[self.rows[0]])
         for name, learned in self.learned.items():
             shape = [count if size is None else size for size in learned.shape]
             tensor = fitting(parameters, name, torch.float32, shape).detach()
@@ -111,7 +111,12 @@ class SceneModel:
 
     def __len__(self) -> int:
         """Number of the target's Gaussians."""
-        return next(len(self.parameters[name]) for name, learned in self.learned.items() if learned.per_gaussian)
+        return len(self.parameters[self.rows[0]])
+
+    @property
+    def rows(self) -> list[str]:
+        """Names of the parameters with a row for each Gaussian."""
+        return [name for name, learned in self.learned.items() if learned.per_gaussian]
 
     @property
     def power_channel(self) -> int:

@@ -114,10 +114,8 @@ class Optimiser:
                     self.state[name][moment].copy_(value)
             else:
                 self.state[name], self._adam = moments, None
-        inherited = torch.where(kept, source, -1)
-        if self._source is not None:
-            inherited = torch.where(kept, self._source[source], -1)
-        self._source = inherited
+        before = source if self._source is None else self._source[source]
+        self._source = torch.where(kept, before, -1)
 
     def take_moves(self) -> Int64[Tensor, " n"] | None:
         """Index of each row at the last call, −1 for a new row; None if no rows have moved since."""

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from typing import get_args
 
 import numpy as np
 import torch
@@ -28,14 +27,12 @@ _MIN_TARGET_SHARE = 1e-3  # minimum share of the target in a pixel's power at wh
 LEARNED, UNIFORM = "learned", "uniform"
 """Grounds without a file: as learned, or with the mean γ⁰ everywhere."""
 
-SPECKLES: tuple[Speckle, ...] = get_args(Speckle)
-
 
 class Sampler:
     """Function that draws an image of a learned scene from a view and a seed.
 
     `degree` is that of the harmonics, `grid` that of the training images; the other arguments are those of
-    `Run.sample`, which are checked here.
+    `Run.sample`; `ground` and `scatterers` are checked here.
     """
 
     def __init__(
@@ -47,8 +44,6 @@ class Sampler:
         speckle: Speckle,
         scatterers: float,
     ) -> None:
-        if speckle not in SPECKLES:
-            raise SarsplatError(f"speckle is {shown(speckle)}; give one of {', '.join(SPECKLES)}")
         if not scatterers > 0:
             raise SarsplatError(f"scatterers is {shown(scatterers)}; give a number above 0, or inf")
         if isinstance(ground, str) and ground not in (LEARNED, UNIFORM):

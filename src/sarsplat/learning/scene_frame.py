@@ -77,7 +77,6 @@ class Levels:
     grid: ImageGrid
     """Grid at full resolution."""
     iterations: int
-    """Length of the training."""
 
     @classmethod
     def of(cls, config: Config, frame: SceneFrame) -> "Levels":
@@ -116,7 +115,3 @@ class Levels:
         """Number of splits in the first `iterations`: one when each finer level begins, and one halfway to the next."""
         finer = self._begins[1:]
         return sum(one < iterations for one in {*finer, *((a + b) // 2 for a, b in pairwise(finer))})
-
-    def grid_at(self, factor: int) -> ImageGrid:
-        """Pixels and response of the images of a level."""
-        return self.grid.multilooked(factor)

@@ -33,7 +33,6 @@ class Snapshot:
     queue: tuple[int, ...]
     """Numbers of the next training views."""
     grid: ImageGrid
-    """Grid of the images."""
     views: tuple[View, ...]
     """Views of the training images, as refined by the training."""
     unit: float

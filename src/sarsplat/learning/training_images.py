@@ -75,17 +75,14 @@ class ViewQueue:
 
     def __init__(self, views: int, per_step: int, generator: torch.Generator) -> None:
         self.waiting: list[int] = []
-        self._views, self._count, self._generator = views, min(per_step, views), generator
-
-    @property
-    def size(self) -> int:
+        self.size = min(per_step, views)
         """Number of views of a batch."""
-        return self._count
+        self._views, self._generator = views, generator
 
     def next(self) -> list[int]:
-        while len(self.waiting) < self._count:
+        while len(self.waiting) < self.size:
             self.waiting += torch.randperm(self._views, generator=self._generator, device="cpu").tolist()
-        chosen, self.waiting = self.waiting[: self._count], self.waiting[self._count :]
+        chosen, self.waiting = self.waiting[: self.size], self.waiting[self.size :]
         return chosen
 
     def restore(self, snapshot: Snapshot) -> None:

@@ -35,11 +35,8 @@ from sarsplat.recognition.odds import TEMPERATURE, Calibration
 from sarsplat.runs import Run
 from sarsplat.samples.chip_set import target_of
 
-_FAR_DEG = 14.0
-"""Distance from the grazing angles of a training beyond which a warning is given."""
-
-_UNKNOWN_DEG = 104.0
-"""Standard deviation of an azimuth of which nothing is known, degrees."""
+_FAR_DEG = 14.0  # distance from the grazing angles of a training beyond which a warning is given
+_UNKNOWN_DEG = 104.0  # standard deviation of an azimuth of which nothing is known, degrees
 
 _LARGEST_EXPONENT = 50.0
 

@@ -17,8 +17,7 @@ from sarsplat.recognition.odds import Calibration
 from sarsplat.runs import Run
 from sarsplat.samples.encoding import encoded_table
 
-_SURE = 0.95
-"""Odds whose reliability is a score."""
+_SURE = 0.95  # odds whose reliability is a score
 
 _MAX_STD_DEG, _MAX_REVERSED = 10.0, 0.05
 """Maximum standard deviation, degrees, and maximum odds of the reversed azimuth, of a certain one."""
@@ -26,8 +25,7 @@ _MAX_STD_DEG, _MAX_REVERSED = 10.0, 0.05
 _FAR_STD = 4.0
 """Standard deviations beyond which a certain azimuth contradicts a label; they are too small at other depressions."""
 
-_MAX_NAMED = 6
-"""Maximum number of images named."""
+_MAX_NAMED = 6  # maximum number of images named
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,8 +22,7 @@ TEMPERATURE = 8.4
 _LOG_TEMPERATURE_STD, _BIAS_STD = 1.0, 0.02
 """Standard deviations of the priors: of the logarithm of the temperature, and of biases, nats per pixel."""
 
-_MEDIAN_OF_NORMAL = 0.6745
-"""Median of the absolute value of a normal variable, standard deviations."""
+_MEDIAN_OF_NORMAL = 0.6745  # median of the absolute value of a normal variable, standard deviations
 
 
 class Calibration(msgspec.Struct, frozen=True, kw_only=True):

@@ -20,11 +20,8 @@ from sarsplat.report.views import evenly
 _SHOWN, _DOUBTFUL = 12, 6
 """Number of images on the page, and of those that are chosen because they are wrong or least certain."""
 
-_LARGEST = 160
-"""Maximum number of pixels along a side that the page shows of an image."""
-
-_BINS = 10
-"""Number of bins of the reliability diagram."""
+_LARGEST = 160  # maximum number of pixels along a side that the page shows of an image
+_BINS = 10  # number of bins of the reliability diagram
 
 
 def write_page(located: Located, path: Path) -> None:

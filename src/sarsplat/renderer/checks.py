@@ -112,16 +112,7 @@ def check_values(tensors: Mapping[str, Tensor | None], *, by_view: bool = False)
             continue
         of_pairs = by_view or name == "amplitudes"
         good = _in_range(name.rpartition(".")[2] if by_view else name, tensor.flatten(0, 1) if of_pairs else tensor)
-        try:
-            all_good = bool(good.all())
-        except RuntimeError as error:
-            if "vmap" not in str(error):
-                raise
-            raise SarsplatError(
-                "render looks at values, which torch.func.vmap does not allow; loop over scenes, and give all views of "
-                "a scene in one call"
-            ) from error
-        if not all_good:
+        if not bool(good.all()):
             raise SarsplatError(complaint(name, tensor, int((~good).nonzero()[0, 0]), by_view=of_pairs))
 
 

@@ -11,13 +11,12 @@ from sarsplat.gaussians import Gaussians, Harmonics, NormalLobes
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.checks import check_values
 from sarsplat.renderer.echoes.echo import Echo, RayEnds, Sighting, left_in_sight, with_echoes
-from sarsplat.renderer.engines.abi import api
 from sarsplat.renderer.engines.bounds import Bounds
 from sarsplat.renderer.engines.on_device import by_view
 from sarsplat.renderer.engines.operation import Operation
-from sarsplat.renderer.engines.passes import NewPass, Pass
+from sarsplat.renderer.engines.passes import NewPass
 from sarsplat.renderer.engines.problem import directions_to, foot_shift
-from sarsplat.renderer.engines.stages import Attenuate, Bounce, PressedFlat, Project, Render, Splat
+from sarsplat.renderer.engines.stages import Attenuate, PressedFlat, Project, Render, Splat
 from sarsplat.renderer.reference import attenuate_reference, pressed_flat_reference, project_reference, splat_reference
 from sarsplat.renderer.rendering import Attenuation, Footprints, Projection, RayMap, Rendering, Waves, scaled
 
@@ -134,39 +133,9 @@ class Steps:
         """Return footprints on the imaging plane of Gaussians pressed flat onto the plane z = `height_m`."""
         if self.new_pass is None:
             return pressed_flat_reference(gaussians, views, grid, shift=shift, height_m=height_m)
-        g, moved = gaussians, _foot(gaussians, views, shift, height_m)
+        g, moved = gaussians, foot(gaussians, views, shift, height_m)
         flat = PressedFlat(self.new_pass(), views, grid, RayGrid.for_image(grid), 0.0)
         return Footprints(*flat.of(g.means, g.quaternions, g.scales, g.optical_depth, None, None, moved)[5:7])
-
-
-def bounced_with(
-    kernel: Pass,
-    gaussians: Gaussians,
-    views: Sequence[View],
-    grid: ImageGrid,
-    *,
-    rays: RayGrid,
-    amplitudes: Float[Tensor, "v n 1"] | None,
-    shift: Float[Tensor, "v 2"] | None,
-    lit_area: Float[Tensor, "v n"],
-    ends: RayEnds,
-    height_m: float,
-    factor: float,
-) -> Float[Tensor, "v {grid.rows} {grid.columns}"]:
-    """Return images of the bounce of rendered Gaussians off a mirror z = `height_m`, with their lit areas and ray ends.
-
-    Power is the factor times √(lit area · lit area by way of the mirror) times amplitudes, by default of harmonics.
-    """
-    g, (dx, dy) = gaussians, rays.spacing_m
-    lattices = [
-        api.lattice(round(x / dx - 0.5), round(y / dy - 0.5), *size)
-        for size, (x, y) in zip(ends.sizes, ends.origins, strict=True)
-    ]
-    step = Bounce(kernel, views, grid, rays, g.scattering.p_min, lattices, height_m, factor)
-    harmonics = g.scattering.parameters if amplitudes is None else None
-    moved = _foot(g, views, shift, height_m)
-    arrays = g.means, g.quaternions, g.scales, g.optical_depth, harmonics, amplitudes, moved
-    return step.of(*arrays, ends.transmittance, lit_area)[0]
 
 
 # ---- what they share -------------------------------------------------------------------------------------------------
@@ -174,7 +143,7 @@ def _shift(gaussians: Gaussians, views: Sequence[View], shift: Tensor | None) ->
     return gaussians.means.new_zeros(len(views), 2) if shift is None else shift
 
 
-def _foot(gaussians: Gaussians, views: Sequence[View], shift: Tensor | None, height_m: float) -> Tensor:
+def foot(gaussians: Gaussians, views: Sequence[View], shift: Tensor | None, height_m: float) -> Tensor:
     """Return the displacement in each image of feet at z = `height_m`."""
     at_foot = by_view(foot_shift, views, height_m, gaussians.means.device)
     return at_foot if shift is None else at_foot + shift

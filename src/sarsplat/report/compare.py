@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -105,7 +105,7 @@ def write_comparison(comparison: Comparison, out: Path, *, overwrite: bool = Fal
         beaten=comparison.beaten,
         tables=comparison.tables,
         definitions=definitions,
-        views=[_views(part, _across(parts)) for part in parts],
+        views=[_views(runs, _across(parts), named=comparison.caution is not None) for runs in parts],
         points=_points(parts),
     )
     with new_folder(out, overwrite, marker=PAGE) as folder:
@@ -139,57 +139,49 @@ def _caution(runs: Sequence[Run], names: Sequence[str]) -> str | None:
     return " ".join(reasons) or None
 
 
-def _by_dataset(comparison: Comparison) -> list[Comparison]:
-    """Split a comparison by dataset: no image is shown beside another dataset's truth."""
-    shared: dict[str | None, list[int]] = {}
-    for index, run in enumerate(comparison.runs):
-        shared.setdefault(run.fingerprint, []).append(index)
-    return [
-        replace(
-            comparison,
-            runs=tuple(comparison.runs[k] for k in indices),
-            names=tuple(comparison.names[k] for k in indices),
-        )
-        for indices in shared.values()
-    ]
+def _by_dataset(comparison: Comparison) -> list[dict[str, Run]]:
+    """Runs of each dataset by name: no image is shown beside another dataset's truth."""
+    shared: dict[str | None, dict[str, Run]] = {}
+    for name, run in zip(comparison.names, comparison.runs, strict=True):
+        shared.setdefault(run.fingerprint, {})[name] = run
+    return [*shared.values()]
 
 
-def _across(parts: Sequence[Comparison]) -> int:
+def _across(parts: Sequence[Mapping[str, Run]]) -> int:
     """Number of views in a row: grows with the number of rows, to bound the page's length.
 
     Several datasets share two columns, of which the longer counts.
     """
-    rows = [1 + 2 * len(part.runs) for part in parts]
+    rows = [1 + 2 * len(runs) for runs in parts]
     per_row, fewest, most = _HALF if len(parts) > 1 else _WHOLE
     return min(max(fewest, math.ceil(per_row * max(*rows, sum(rows) / 2))), most)
 
 
-def _views(comparison: Comparison, views: int) -> Figure:
-    """Figure of one dataset's views, their renderings by every run, and the errors."""
-    dataset, worst = comparison.runs[0].dataset, dict[int, str]()
-    for name, run in zip(comparison.names, comparison.runs, strict=True):
+def _views(runs: Mapping[str, Run], views: int, *, named: bool) -> Figure:
+    """Figure of one dataset's views, their renderings by every run, and the errors; its title may name the runs."""
+    dataset, worst = next(iter(runs.values())).dataset, dict[int, str]()
+    for name, run in runs.items():
         best_first, _ = ranked_images(dataset, scores_of(run))
         if best_first:
             index = best_first[-1][1]
             worst[index] = f"{worst[index]}, {name}" if index in worst else f"worst of {name}"
-    by_all = f"worst of {', '.join(comparison.names)}"
+    by_all = f"worst of {', '.join(runs)}"
     of_note = [Chosen(index, "worst of all" if why == by_all else why) for index, why in worst.items()]
     chosen = with_others(dataset, of_note, max(2, views - len(of_note)))
     true = "Measured" if dataset.calibration == "relative" else "Truth"
     text = f"{true} and reconstructions on one scale, the radar above."
-    runs = dict(zip(comparison.names, comparison.runs, strict=True))
-    title = f"The same views: {in_words(comparison.names)}" if comparison.caution else "The same views"
+    title = f"The same views: {in_words(runs)}" if named else "The same views"
     return views_figure(title, text, runs, chosen, _LARGEST, views)
 
 
-def _points(parts: Sequence[Comparison]) -> Figure:
+def _points(parts: Sequence[Mapping[str, Run]]) -> Figure:
     """The points of every run, those of one dataset in boards of one size."""
     blocks, bars, truths = list[Block](), list[ColourBar](), list[Path | None]()
-    for part in parts:
-        dataset = part.runs[0].dataset
+    for runs in parts:
+        dataset = next(iter(runs.values())).dataset
         truths.append(dataset.truth_mesh)
         surface = None if dataset.truth_mesh is None else sampled(dataset.truth_mesh)
-        clouds = {name: run.points for name, run in zip(part.names, part.runs, strict=True)}
+        clouds = {name: run.points for name, run in runs.items()}
         boards, meanings = point_boards(clouds, surface, Yardstick.of(dataset.grid).thresholds_m[1], heights=False)
         blocks += boards
         bars += [bar for bar in meanings if bar not in bars]

@@ -114,15 +114,9 @@ def written(number: float) -> str:
 def scale_bar(width_m: float) -> tuple[float, str]:
     """A bar of a round length, about a quarter of a picture's width in metres."""
     length = nice(width_m / 3)
-    return length / width_m, metres(length)
-
-
-def metres(length: float) -> str:
-    """A round length with a unit that suits it."""
-    for unit, size in (("km", 1000.0), ("m", 1.0), ("cm", 0.01), ("mm", 0.001)):
-        if length >= size * (1 - 1e-9):
-            return f"{length / size:g} {unit}"
-    return f"{length:g} m"
+    units = (("km", 1000.0), ("m", 1.0), ("cm", 0.01), ("mm", 0.001))
+    unit, size = next((unit for unit in units if length >= unit[1] * (1 - 1e-9)), ("m", 1.0))
+    return length / width_m, f"{length / size:g} {unit}"
 
 
 def colour_bar(label: str, name: str, low: float, high: float) -> ColourBar:

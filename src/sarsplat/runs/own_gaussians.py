@@ -52,14 +52,13 @@ def usual_grid(gaussians: Gaussians) -> ImageGrid:
         )
     reach = shown.means.norm(dim=1) + SIGMAS * shown.scales.amax(dim=1)  # images are centred on the world's origin
     outside = _strays(shown)
+    farthest_m = float(reach[~outside.to(reach.device)].max())
     coarse_m = _CELL_SIGMAS * float(shown.scales.amax(dim=1).median())
-    spacing_m = float(
-        f"{max(2 * float(reach[~outside.to(reach.device)].max()) / (_FILLED_SHARE * _PIXELS), coarse_m):.2g}"
-    )
+    spacing_m = float(f"{max(2 * farthest_m / (_FILLED_SHARE * _PIXELS), coarse_m):.2g}")
     if spacing_m > _MAX_SPACING_M:
         raise SarsplatError(
-            f"the Gaussians reach {float(reach[~outside.to(reach.device)].max()):.3g} m from the origin, farther than "
-            "any image shows; check their unit and their scales, or give a grid"
+            f"the Gaussians reach {farthest_m:.3g} m from the origin, farther than any image shows; check their unit "
+            "and their scales, or give a grid"
         )
     if outside.any():
         warnings.warn(

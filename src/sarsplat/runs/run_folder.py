@@ -4,7 +4,7 @@ Runs are named by their folders; hashed folders of sweeps by dataset and differi
 """
 
 import re
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -316,26 +316,25 @@ def distinguished(headers: Sequence[Header], with_method: bool = True) -> list[s
     """
     methods = {header.method for header in headers}
     presets = {header.config["preset"] for header in headers if "preset" in header.config}  # only of sar-gs
-    datasets: dict[str, set[str]] = {}  # folder name → paths
-    values: dict[tuple[str, str, str], dict[str, list[str]]] = {}  # kind → setting → values
-    for header in headers:
-        datasets.setdefault(Path(_dataset(header)).name, set()).add(_dataset(header))
-        values_of_kind = values.setdefault(_kind(header), {})
-        for name, value in dotted(header.config):
-            values_of_kind.setdefault(name, []).append(str(value))
+    folder_counts = Counter(Path(path).name for path in {_dataset(header) for header in headers})
     kind_counts = Counter(map(_kind, headers))
+    values = defaultdict[tuple[tuple[str, str, str], str], list[str]](list)  # kind, setting → values
+    for header in headers:
+        for setting, value in dotted(header.config):
+            values[_kind(header), setting].append(str(value))
     names = []
     for header in headers:
-        name = Path(_dataset(header)).name if len(datasets[Path(_dataset(header)).name]) == 1 else _dataset(header)
-        words = [name or "images in memory"]
+        path = Path(_dataset(header))
+        words = [(path.name if folder_counts[path.name] == 1 else _dataset(header)) or "images in memory"]
         words += [header.method] if with_method and len(methods) > 1 else []
         words += [header.config["preset"]] if len(presets) > 1 and "preset" in header.config else []
         settings = ((name, value) for name, value in dotted(header.config) if name not in ("preset", "seed"))
         for setting, value in settings:
-            given, (section, dot, _) = values[_kind(header)][setting], setting.partition(".")
-            if len({*given}) > 1 or (len(given) < kind_counts[_kind(header)] and not dot):
+            given, (section, dot, _) = values[_kind(header), setting], setting.partition(".")
+            some_lack_it = len(given) < kind_counts[_kind(header)]
+            if len({*given}) > 1 or (some_lack_it and not dot):
                 words.append(f"{setting} {value}")
-            elif len(given) < kind_counts[_kind(header)] and section not in words:
+            elif some_lack_it and section not in words:
                 words.append(section)
         words += [f"seed {header.config['seed']}"] if "seed" in header.config else []
         names.append(", ".join(words))

@@ -26,7 +26,7 @@ from sarsplat.executors.executor import Work
 from sarsplat.learning import Inputs, Trainer
 from sarsplat.learning.device_choice import device_named
 from sarsplat.learning.losses import Loss
-from sarsplat.learning.observations.single_images import PartsOfImages, Tile, merged, rows_in, tiles_of, with_some
+from sarsplat.learning.observations.single_images import PartsOfImages, Tile, merged, tiles_of, with_some
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.progress import Reporter, progress
 from sarsplat.runs.run import Run
@@ -105,7 +105,7 @@ class TiledTraining(Training[Trainer]):
 
     def _by_tiles(self, iterations: int) -> None:
         """Train and merge all tiles; without a result if `on_step` ends the training."""
-        whole, rows = self.trainer, rows_in(self.trainer.model)
+        whole, rows = self.trainer, self.trainer.model.rows
         begun = whole.snapshot(self.seconds)
         tiles, parts, lines = tiles_of(whole.model.parameters["means"], whole.config.tiles), [], []
         if self._executor is not None:

@@ -38,19 +38,7 @@ _DECIMALS = 4  # decimals of drawn angles, degrees, so that the table of labels 
 
 @dataclass(frozen=True)
 class Label:
-    """Label of a chip: class, run, view and seed; `Run.sample(view, seed)` draws it again.
-
-    Parameters
-    ----------
-    target : str
-        Class.
-    view : View
-        View.
-    seed : int
-        Seed of its random numbers.
-    run : int
-        Index of its run in the set.
-    """
+    """Label of a chip: class, view, seed and the index of its run in the set; `Run.sample(view, seed)` draws it again."""
 
     target: str
     view: View
@@ -59,21 +47,9 @@ class Label:
 
 
 class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
-    """Chips that are drawn on access; made by `chips`.
+    """Chips that are drawn on access; made by `chips`, which describes arguments and errors.
 
     Chip i is of run i mod R, so that every beginning of a set is balanced.
-
-    Parameters
-    ----------
-    runs, count, azimuths_deg, grazing_deg, seed, ground, speckle, scatterers
-        See `chips`.
-    encoding : Encoding
-        Pixels and format.
-
-    Raises
-    ------
-    SarsplatError
-        As for `chips`.
     """
 
     def __init__(

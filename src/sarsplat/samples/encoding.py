@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Complex64, Float32, Shaped, UInt8
+from jaxtyping import Complex64, Float32, Shaped
 
 from sarsplat.arguments import expect_fields
 from sarsplat.data.orientation import SIDES
@@ -120,10 +120,11 @@ class Encoding:
         buffer = io.BytesIO()
         if self.format == "npy":
             np.save(buffer, pixels, allow_pickle=False)
-        elif self.format == "png":
-            _picture(pixels).save(buffer, "PNG", compress_level=1)
         else:
-            _picture(pixels).save(buffer, "JPEG", quality=self.jpeg_quality)
+            from PIL import Image
+
+            picture = Image.fromarray(np.ascontiguousarray(pixels))
+            picture.save(buffer, self.format, quality=self.jpeg_quality, compress_level=1)  # JPEG's, PNG's
         return buffer.getvalue()
 
     def stored(self, sample: Complex64[np.ndarray, "rows columns"], brightest: float) -> Shaped[np.ndarray, "m n"]:
@@ -156,12 +157,6 @@ class Encoding:
         """Magnitude stored as white (8 bits) or 1."""
         white = float(magnitude.max()) if self.scale == "max" else brightest**0.5 if self.scale == "fixed" else 1.0
         return white or 1.0
-
-
-def _picture(pixels: UInt8[np.ndarray, "m n"]) -> Any:
-    from PIL import Image
-
-    return Image.fromarray(np.ascontiguousarray(pixels))
 
 
 def encoded_table(rows: Iterable[dict[str, Any]], columns: Sequence[str]) -> bytes:

@@ -93,12 +93,7 @@ class SecondBounce:
 
     # ---- facet and ground --------------------------------------------------------------------------------------------
     def by_ground(
-        self,
-        view: View,
-        facets: Facets,
-        trace: Trace,
-        deposit: Deposit,
-        progress: Callable[[float], object] = lambda share: None,
+        self, view: View, facets: Facets, trace: Trace, deposit: Deposit, progress: Callable[[float], object]
     ) -> None:
         """Deposit facet–ground and ground–facet paths: a point is imaged at its foot on the ground, at any height."""
         look, legs = view.look, _Legs(self._mesh)
@@ -136,12 +131,7 @@ class SecondBounce:
 
     # ---- facet and facet ---------------------------------------------------------------------------------------------
     def between_facets(
-        self,
-        view: View,
-        facets: Facets,
-        trace: Trace,
-        deposit: Deposit,
-        progress: Callable[[float], object] = lambda share: None,
+        self, view: View, facets: Facets, trace: Trace, deposit: Deposit, progress: Callable[[float], object]
     ) -> None:
         """Deposit paths from one rough facet to another, in directions spread evenly over the first's half space."""
         look, legs, count = view.look, _Legs(self._mesh), 0

@@ -81,7 +81,7 @@ def barrel(profile: Sequence[Pair], root: Point, elevation_deg: float, sections:
     return body
 
 
-def wheel(x: float, y: Pair, radius: float, rim: float = 0.55, z: float | None = None) -> Trimesh:
+def wheel(x: float, y: Pair, radius: float, rim: float, z: float | None = None) -> Trimesh:
     """Tyred wheel between two values of y: round shoulders, sunk disc of the share `rim` of the radius, standing hub.
 
     It stands on the ground unless the height of its axle is given.
@@ -96,13 +96,11 @@ def wheel(x: float, y: Pair, radius: float, rim: float = 0.55, z: float | None =
     return body
 
 
-def belt(wheels: Sequence[tuple[float, float, float]], thickness: float, y: Pair, sections: int = 96) -> Trimesh:
-    """Closed belt with edges at y, stretched around wheels (x, z, radius) that touch its inner side, such as a track.
-
-    `sections` is the number of normal directions sampled around it; a multiple of four includes straight down.
-    """
+def belt(wheels: Sequence[tuple[float, float, float]], thickness: float, y: Pair) -> Trimesh:
+    """Closed belt with edges at y around wheels (x, z, radius) that touch its inner side, such as a track."""
     import trimesh
 
+    sections = 96  # normal directions sampled around it; a multiple of four includes straight down
     # The support point of a union of discs in direction d is c + r·d of the disc with the largest c·d + r; the same
     # disc supports the thickened belt, so inner and outer points pair up.
     circles = np.array(wheels)

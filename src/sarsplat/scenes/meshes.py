@@ -169,7 +169,7 @@ def read_mesh(path: Path) -> Trimesh:
         data = (header + end).replace(b"\r", b"\n") + body
     try:
         if kind == ".glb":
-            data, hidden = _plain_glb(data, _scene_of(data))
+            data, hidden = _plain_glb(data)
             if hidden:
                 warnings.warn(
                     f"'{path}': left out {counted(hidden, 'node')} that the file hides; make them visible to keep them",
@@ -270,15 +270,11 @@ def _scene_of(data: bytes) -> dict[str, Any]:
     length = int.from_bytes(data[12:16], "little")
     if data[:4] != b"glTF" or data[16:20] != b"JSON" or length > min(len(data) - 20, _LONGEST_SCENE):
         raise SarsplatError(f"is not a whole .glb file with at most {_LONGEST_SCENE} bytes of JSON; export it again")
-    try:
-        scene: dict[str, Any] = json.loads(data[20 : 20 + length].decode())
-        gaussians = "KHR_gaussian_splatting" in scene.get("extensionsUsed", ())
-        needed = [name for name in scene.get("extensionsRequired", ()) if not _HARMLESS.fullmatch(name)]
-        needed += [_COPIES] * any(_COPIES in node.get("extensions", ()) for node in scene.get("nodes", ()))
-        numbers, parts = _unfolded(scene)
-    except (LookupError, TypeError, AttributeError, ValueError, RecursionError) as error:
-        raise SarsplatError(f"has a scene not read ({repr(error)[:120]}); export it as one plain mesh") from error
-    if gaussians:
+    scene: dict[str, Any] = json.loads(data[20 : 20 + length].decode())
+    needed = [name for name in scene.get("extensionsRequired", ()) if not _HARMLESS.fullmatch(name)]
+    needed += [_COPIES] * any(_COPIES in node.get("extensions", ()) for node in scene.get("nodes", ()))
+    numbers, parts = _unfolded(scene)
+    if "KHR_gaussian_splatting" in scene.get("extensionsUsed", ()):
         raise SarsplatError("holds Gaussians (KHR_gaussian_splatting), no mesh; give a mesh, or `sarsplat render` them")
     if needed:
         raise SarsplatError(f"needs {', '.join(needed)[:80]}, which is not read; export it without that extension")
@@ -289,11 +285,12 @@ def _scene_of(data: bytes) -> dict[str, Any]:
     return scene
 
 
-def _plain_glb(data: bytes, scene: dict[str, Any]) -> tuple[bytes, int]:
+def _plain_glb(data: bytes) -> tuple[bytes, int]:
     """Return a .glb file whose fans are triangles and whose hidden nodes are empty, and the number of these."""
     length = int.from_bytes(data[12:16], "little")
-    values, nodes = data[28 + length :], scene.get("nodes", [])
     try:
+        scene = _scene_of(data)
+        values, nodes = data[28 + length :], scene.get("nodes", [])
         hidden = [node for node in nodes if not node.get("extensions", {}).get(_VISIBLE, {}).get("visible", True)]
         fans = [one for mesh in scene.get("meshes", ()) for one in mesh["primitives"] if one.get("mode") == _FAN]
         for node in hidden:
@@ -315,7 +312,7 @@ def _plain_glb(data: bytes, scene: dict[str, Any]) -> tuple[bytes, int]:
                 raise ValueError("morph targets and normalised positions are not read")
         if hidden or fans:
             scene["buffers"][0]["byteLength"] = len(values)
-    except (LookupError, TypeError, AttributeError, ValueError) as error:
+    except (LookupError, TypeError, AttributeError, ValueError, RecursionError) as error:
         raise SarsplatError(f"has a scene not read ({repr(error)[:120]}); export it as one plain mesh") from error
     if not (hidden or fans):
         return data, 0

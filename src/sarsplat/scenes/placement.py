@@ -37,8 +37,8 @@ def shown_in(mesh: Trimesh, views: Sequence[View], grid: ImageGrid) -> list[bool
     shown = []
     for view in views:
         azimuth, slant_range = view.look.gradients @ corners.T
-        across = azimuth.max() >= min(left, right) and azimuth.min() <= max(left, right)
-        shown.append(bool(across and slant_range.max() >= min(near, far) and slant_range.min() <= max(near, far)))
+        across = azimuth.max() >= left and azimuth.min() <= right
+        shown.append(bool(across and slant_range.max() >= near and slant_range.min() <= far))
     return shown
 
 
@@ -66,8 +66,7 @@ def _cut_off(mesh: Trimesh, views: Sequence[View], grid: ImageGrid) -> list[str]
     outside = []
     for view in views:
         azimuth, slant_range = np.moveaxis(points @ view.look.gradients.T, -1, 0)
-        out = (azimuth < min(left, right)) | (azimuth > max(left, right))
-        out |= (slant_range < min(near, far)) | (slant_range > max(near, far))
+        out = (azimuth < left) | (azimuth > right) | (slant_range < near) | (slant_range > far)
         outside.append(float(out.mean(axis=1) @ mesh.area_faces / mesh.area))
     if max(outside) < _CUT_OFF or is_larger(mesh, grid):
         return []

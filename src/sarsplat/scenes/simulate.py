@@ -56,16 +56,8 @@ def simulate_images(
         (R-self, as in the paper).
     law : ScatteringLaw, optional
         γ⁰ of the surface against incidence angle; 0.1 + 0.9 cos² i unless given.
-    reflectivity : numpy.ndarray [F], or a list, optional
-        Factor on the law's γ⁰ for each face; 1 unless given.
-    ground_gamma0 : float, optional
-        γ⁰ (linear) of a flat ground at z = 0; none unless given.
-    terrain : Terrain, optional
-        Heights of that ground, instead of z = 0. The mesh is not moved.
-    bounces : {1, 2}
-        2: with second bounces between flat ground and the mesh and, by ray casting, from facet to facet.
-    ground_reflectivity : float, optional
-        With second bounces on ground: |Γ|², the share of the power that it reflects like a mirror, 0 to 1.
+    reflectivity, ground_gamma0, terrain, bounces, ground_reflectivity
+        As for `simulate_raycast`. Splatting has second bounces between flat ground and the mesh only.
     ray_spacing : float, optional
         Spacing of the rays in ray casting, m; `default_ray_spacing` unless given.
     progress : callable, optional

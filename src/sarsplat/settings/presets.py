@@ -158,7 +158,6 @@ PRESETS: dict[str, Config] = {
         scattering_penalty=0.1,
         initial_scale=0.42,
         initial_optical_depth=0.15,
-        initial_scattering=0.5,
         scale_bounds=(0.42, 0.42),
         harmonics_degree=0,
         few_views=0.0,

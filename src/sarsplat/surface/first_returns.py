@@ -1,7 +1,7 @@
 """First returns of many views: at once on a GPU, where only sizes are copied to the CPU, or view by view on the CPU."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Self
@@ -14,7 +14,7 @@ from torch import Tensor
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.geometry.terrain import heights_of
-from sarsplat.renderer import RayMap, render
+from sarsplat.renderer import render
 from sarsplat.surface import cells
 from sarsplat.surface.bricks import Brick, Scene, Window
 from sarsplat.tiles import at_once
@@ -32,12 +32,29 @@ def view_batches(gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, r
 
 
 def traced(
-    gaussians: Gaussians, views: Sequence[View], pixel: ImageGrid, rays: RayGrid, optical_depth: float
-) -> Sequence[RayMap]:
-    """Ray maps of views up to an optical depth; `pixel` is a grid of one pixel, since images are not needed."""
-    black = gaussians.means.new_zeros(len(views), len(gaussians), 1)
-    done = render(gaussians, views, pixel, rays=rays, first_return_depth=optical_depth, amplitudes=black)
-    return done.ray_maps or ()
+    scene: Scene,
+    brick: Brick | None,
+    views: Sequence[View],
+    grid: ImageGrid,
+    rays: RayGrid,
+    optical_depth: float,
+    advance: Callable[[int], object],
+) -> Iterator[tuple[View, Window, Float[Tensor, "rows columns"]]]:
+    """Views, their rays (all, or those of a brick), and ranges of first return, m; infinite where a ray meets nothing.
+
+    Views are rendered in batches, or one by one for a brick; `advance` gets numbers of views.
+    """
+    pixel = replace(grid, rows=1, columns=1)  # images are not needed
+    batches = view_batches(scene.gaussians, views, pixel, rays) if brick is None else ([view] for view in views)
+    for batch in batches:
+        window = None if brick is None else brick.window(batch[0], rays)
+        gaussians = scene.gaussians if window is None else scene.met_by(window, batch[0], rays)[1]
+        black = gaussians.means.new_zeros(len(batch), len(gaussians), 1)
+        done = render(gaussians, batch, pixel, rays=rays, first_return_depth=optical_depth, amplitudes=black)
+        for view, ray_map in zip(batch, done.ray_maps or (), strict=True):
+            own = window or Window.of(ray_map, rays)
+            yield view, own, own.cut(ray_map, rays)
+        advance(len(batch))
 
 
 @dataclass(frozen=True)
@@ -53,29 +70,11 @@ class FirstReturns:
     spacing_m: tuple[float, float]
 
     @classmethod
-    def of(
-        cls,
-        scene: Scene,
-        brick: Brick | None,
-        views: Sequence[View],
-        grid: ImageGrid,
-        rays: RayGrid,
-        optical_depth: float,
-        advance: Callable[[int], object],
-    ) -> Self:
-        """Trace all rays in batches of views, or those of a brick view by view; `advance` gets numbers of views."""
-        windows, ranges = list[Window](), list[Float[Tensor, "rows columns"]]()
-        pixel = replace(grid, rows=1, columns=1)  # images are not needed
-        batches = view_batches(scene.gaussians, views, pixel, rays) if brick is None else ([view] for view in views)
-        for batch in batches:
-            window = None if brick is None else brick.window(batch[0], rays)
-            gaussians = scene.gaussians if window is None else scene.met_by(window, batch[0], rays)[1]
-            for ray_map in traced(gaussians, batch, pixel, rays, optical_depth):
-                windows.append(window or Window.of(ray_map, rays))
-                ranges.append(windows[-1].cut(ray_map, rays).flatten())
-            advance(len(batch))
+    def of(cls, found: Iterable[tuple[View, Window, Float[Tensor, "rows columns"]]], rays: RayGrid) -> Self:
+        """Collect what `traced` finds."""
+        views, windows, ranges = zip(*found, strict=True)
         frames = torch.from_numpy(np.stack([view.look.frame for view in views])).to(ranges[0].device)
-        return cls(windows, torch.cat(ranges), frames, rays.spacing_m)
+        return cls(windows, torch.cat([of_view.flatten() for of_view in ranges]), frames, rays.spacing_m)
 
     @property
     def _sizes(self) -> list[int]:
@@ -174,22 +173,9 @@ class FirstReturnsOnCpu:
     views: "Sequence[OfView]"
 
     @classmethod
-    def of(
-        cls,
-        scene: Scene,
-        brick: Brick | None,
-        views: Sequence[View],
-        grid: ImageGrid,
-        rays: RayGrid,
-        optical_depth: float,
-        advance: Callable[[int], object],
-    ) -> Self:
-        """Trace the rays view by view; `advance` gets numbers of views."""
-        found = []
-        for view in views:
-            found.append(OfView.of(scene, brick, view, grid, rays, optical_depth))
-            advance(1)
-        return cls(found)
+    def of(cls, found: Iterable[tuple[View, Window, Float[Tensor, "rows columns"]]], rays: RayGrid) -> Self:
+        """Collect what `traced` finds."""
+        return cls([OfView.of(*of_view, rays) for of_view in found])
 
     def points(self, terrain: Terrain | None, lowest_m: float) -> Iterator[Float64[Tensor, "p 3"]]:
         """Returns of each view, world frame, m, that are at least `lowest_m` above the terrain."""
@@ -237,17 +223,10 @@ class OfView:
     spacing_m: tuple[float, float]
 
     @classmethod
-    def of(
-        cls, scene: Scene, brick: Brick | None, view: View, grid: ImageGrid, rays: RayGrid, optical_depth: float
-    ) -> "OfView":
-        """Trace the rays of one view."""
-        window = None if brick is None else brick.window(view, rays)
-        gaussians = scene.gaussians if window is None else scene.met_by(window, view, rays)[1]
-        pixel = replace(grid, rows=1, columns=1)  # images are not needed
-        (ray_map,) = traced(gaussians, [view], pixel, rays, optical_depth)
-        window = window or Window.of(ray_map, rays)
-        ranges = np.pad(window.cut(ray_map, rays).numpy(), 1, constant_values=np.inf)
-        return cls(view.look.frame, ranges, (window.column - 1, window.row - 1), rays.spacing_m)
+    def of(cls, view: View, window: Window, ranges: Float[Tensor, "rows columns"], rays: RayGrid) -> "OfView":
+        """First returns of what `traced` finds for one view."""
+        padded = np.pad(ranges.numpy(), 1, constant_values=np.inf)
+        return cls(view.look.frame, padded, (window.column - 1, window.row - 1), rays.spacing_m)
 
     def points(self) -> Float64[np.ndarray, "p 3"]:
         """Returns, world frame, m."""

@@ -28,7 +28,7 @@ from sarsplat.surface import cells
 from sarsplat.surface.bricks import Scene, ray_count
 from sarsplat.surface.cells import MOST_POINTS, MOST_WAITING, Voxels
 from sarsplat.surface.clusters import bright, brightest_speckle_m2, largest
-from sarsplat.surface.first_returns import FirstReturns, FirstReturnsOnCpu, view_batches
+from sarsplat.surface.first_returns import FirstReturns, FirstReturnsOnCpu, traced, view_batches
 from sarsplat.tiles.plan import memory_bytes
 
 _MOST_RAYS = 2e7  # maximum number of rays of a brick, in all views together
@@ -166,7 +166,7 @@ def _seen_points(
         if warning is not None:
             shown.note(warning)
         for brick in bricks:
-            returns = kind.of(scene, brick, views, grid, rays, how.optical_depth, shown.advance)
+            returns = kind.of(traced(scene, brick, views, grid, rays, how.optical_depth, shown.advance), rays)
             voxels = Voxels(side_m, gaussians.means.device)
             for batch in returns.points(terrain, how.min_height * cell):
                 voxels.add(batch if brick is None else batch[brick.holds(batch)])

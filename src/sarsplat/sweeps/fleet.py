@@ -20,7 +20,7 @@ from sarsplat.runs.run_folder import METRICS, POINTS, LogLine, RunFolder
 from sarsplat.sweeps.cell import Cell, cells_of
 from sarsplat.sweeps.page import page
 from sarsplat.sweeps.plan import Plan
-from sarsplat.sweeps.results import Results
+from sarsplat.sweeps.results import Results, varying
 from sarsplat.sweeps.work import ROWS, RUNS, row_of
 
 HEADER, TABLE, PAGE = "sweep.json", "results.csv", "index.html"
@@ -175,9 +175,7 @@ class Live:
 
     def __init__(self, cells: Sequence[Cell], out: Path, reporter: Reporter) -> None:
         self._left = {cell.address: cell for cell in cells}
-        labels = {name for cell in cells for name in cell.labels}  # the dataset, and what is not the same everywhere
-        differ = (n for n in labels if len({repr(cell.labels[n]) for cell in cells if n in cell.labels}) > 1)
-        self._names = {"dataset", *differ}
+        self._names = varying(cells)
         self._out, self._reporter, self._begun = out, reporter, time.time()
         self._over, self._one_at_a_time = threading.Event(), threading.Lock()
         self._failed = 0

@@ -166,7 +166,7 @@ class Results:
 
     def called(self, one: Result) -> str:
         """Description of a run by its dataset, its varying labels and its seed."""
-        return one.cell.words({"dataset", *varying(self.lines())})
+        return one.cell.words(varying(self.lines()))
 
     @property
     def beaten(self) -> str | None:
@@ -184,21 +184,18 @@ class Results:
 
     @property
     def _sets(self) -> list[str]:
-        return [*dict.fromkeys(split for one in self.results if one.finished for split in _sets(one))]
+        return [*dict.fromkeys(split for one in self.results if one.finished for split in one.scored["images"])]
 
     def columns(self) -> tuple[list[str], list[Metric[Any]]]:
-        """Columns of tables of all lines: labels and metrics."""
+        """Columns of tables of all lines: labels, and summary metrics that any line has."""
         lines, others = self.lines(), self.baselines()
         names = varying(lines)
         if others and "method" not in names:
             names.insert(names.index("dataset") + 1, "method")
-        return names, self.metrics([*lines, *others])
-
-    def metrics(self, lines: Sequence[Line]) -> list[Metric[Any]]:
-        """Summary metrics that any line has."""
         sides = sorted({one.row.yardstick_m for one in self.results if one.row is not None and one.finished})
-        scores = [Scores("", {key: spread.mean for key, spread in line.spreads.items()}) for line in lines]
-        return [*{one.key: one for side in sides for one in summary_metrics(scores, Yardstick(side))}.values()]
+        scores = [Scores("", {key: spread.mean for key, spread in line.spreads.items()}) for line in (*lines, *others)]
+        found = {one.key: one for side in sides for one in summary_metrics(scores, Yardstick(side))}
+        return names, [*found.values()]
 
     def table(self) -> Table:
         """Table of all lines with mean ± standard deviation over the seeds, for the terminal."""
@@ -240,7 +237,7 @@ class Results:
         return file.getvalue()
 
 
-def varying(lines: Sequence[Line]) -> list[str]:
+def varying(lines: Sequence[Line | Cell]) -> list[str]:
     """Names of labels that tables need: the dataset, and those with more than one value."""
     names = dict.fromkeys(name for line in lines for name in line.labels)
     return [n for n in names if n == "dataset" or len({repr(line.labels[n]) for line in lines if n in line.labels}) > 1]
@@ -257,11 +254,6 @@ def _rows(out: Path) -> Iterable[Row]:
             yield read_json(path, Row)
         except SarsplatError:  # of another version, or being replaced
             continue
-
-
-def _sets(one: Result) -> list[str]:
-    keys = (name.split(".") for name in (one.row.scores if one.row else {}))
-    return [*dict.fromkeys(parts[1] for parts in keys if parts[0] == "images")]
 
 
 def _line(group: Sequence[Result], split: str, several: bool) -> Line:

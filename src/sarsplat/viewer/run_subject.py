@@ -60,15 +60,12 @@ class RunSubject(Subject):
     @cached_property
     def clouds(self) -> list[Cloud]:
         points = Cloud("surface points", at_most(self.run.points), self.grid.cell_m / 5)
-        return [points] if self.truth is None else [points, self._truth_cloud]
-
-    @property
-    def _truth_cloud(self) -> Cloud:
+        if self.truth is None:
+            return [points]
         import trimesh
 
-        assert self.truth is not None
         samples, _ = trimesh.sample.sample_surface(self.truth, 30_000, seed=0)
-        return Cloud(TRUTH, np.asarray(samples, np.float32), self.grid.cell_m / 5)
+        return [points, Cloud(TRUTH, np.asarray(samples, np.float32), self.grid.cell_m / 5)]
 
     @cached_property
     def surface(self) -> Surface | None:

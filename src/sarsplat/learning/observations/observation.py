@@ -30,7 +30,6 @@ class Batch:
     """Degree of the harmonics in use."""
     rays: RayGrid
     bounds: Bounds
-    """Bounds of the Gaussians."""
     dropped: Bool[Tensor, " n"] | None = None
     """Mask of the Gaussians that are left out."""
     plane_gradients: bool = False

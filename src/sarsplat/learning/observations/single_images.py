@@ -125,13 +125,13 @@ class PartsOfImages(SingleImages):
         super().__init__(dataset, config, device)
         model = SceneModel.saved(whole, config, device)
         scene, levels = model.target(model.degree(whole.iteration)).detach(), model.levels
-        learned_m = levels.grid_at(levels.factor(max(whole.iteration - 1, 0))).cell_m  # its accuracy
+        learned_m = whole.grid.multilooked(levels.factor(max(whole.iteration - 1, 0))).cell_m  # its accuracy
         own, finest = tile.holds(scene.means), levels.factor(whole.iteration)
         self.tile = tile
         self._windows = Windows.around(scene[own], whole.views, whole.grid, learned_m, finest)
-        rays = RayGrid.for_image(levels.grid_at(finest), config.rays_per_pixel)
+        rays = RayGrid.for_image(whole.grid.multilooked(finest), config.rays_per_pixel)
         near = own | self._windows.shown(scene, whole.views, rays, model.ground(), learned_m)
-        self.begun = with_some(whole, rows_in(model), near)
+        self.begun = with_some(whole, model.rows, near)
         """Snapshot from which the tile's training begins."""
         self.images = self.images.through(self._windows)
 
@@ -181,8 +181,3 @@ def _of_rows(name: str, rows: Collection[str]) -> bool:
     """Return True if a tensor of a snapshot has a row for each Gaussian."""
     kind, _, which = name.partition("/")
     return (kind in ("model", "optimiser") and which.partition("/")[0] in rows) or "/rows/" in which
-
-
-def rows_in(model: SceneModel) -> list[str]:
-    """Names of the parameters with a row for each Gaussian."""
-    return [name for name, how in model.learned.items() if how.per_gaussian]

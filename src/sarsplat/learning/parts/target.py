@@ -103,13 +103,13 @@ class Target(Part):
             )
             means = torch.from_numpy(sample(region, n, generator)).float()
         quaternions, depth = random_quaternions(n, generator), means.new_full((n,), config.initial_optical_depth)
-        scales = means.new_tensor(_start_scales_m(config, self._coarsest_m)).repeat(n, 1)
+        scales = means.new_tensor(_start_scales_m(config, self._coarsest.cell_m)).repeat(n, 1)
         gamma0 = config.initial_scattering
         shows_more = train.ground or config.ground or config.surroundings or self.frame.stacks
         outshone = usual_peak(train.power) < train.power.max()  # by corner reflectors, which begin bright
         if not (outshone or shows_more or config.box_m or train.target_box_m):
             first = Gaussians(means, quaternions, scales, depth, Harmonics.initial(n, 1.0, 0.0))
-            returned = _returned_gamma0(first, train, self._levels.grid_at(self._levels.coarsest)) / self.frame.unit
+            returned = _returned_gamma0(first, train, self._coarsest) / self.frame.unit
             gamma0 = max(gamma0 * min(returned, 1.0), _OVER_P_MIN * config.p_min)
         scattering = law(config, n, gamma0, self.frame.stacks)
         return {
@@ -158,7 +158,7 @@ class Target(Part):
         if self.frame.terrain is not None:
             below, above = self.frame.terrain.span_m
             low, high = low + low.new_tensor([0, 0, below]), high + high.new_tensor([0, 0, above])
-        largest = max(scales_m(config, self._coarsest_m, self._levels.coarsest))
+        largest = max(scales_m(config, self._coarsest.cell_m, self._levels.coarsest))
         return Bounds((*low.tolist(),), (*high.tolist(),), largest, depth, "cpu")
 
     def _scattering(self, p: Parameters, degree: int) -> Scattering:
@@ -186,8 +186,9 @@ class Target(Part):
         return torch.from_numpy(terrain.heights_m).float().to(self.device), terrain.pitch_m
 
     @property
-    def _coarsest_m(self) -> float:
-        return self._levels.grid_at(self._levels.coarsest).cell_m
+    def _coarsest(self) -> ImageGrid:
+        """Grid of the first level's images."""
+        return self._levels.grid.multilooked(self._levels.coarsest)
 
     @cached_property
     def _law(self) -> Scattering:

@@ -50,9 +50,16 @@ class Texture(Part):
         return {} if self.maps is None else self.maps.tensors
 
     def load(self, state: Parameters) -> None:
-        if state:
-            _check(state, len(self.frame.views), self.frame.grid)
-        self.maps = Maps(state, self.frame.grid, self.settings) if state else None
+        self.maps = None
+        if not state:
+            return
+        count, grid = len(self.frame.views), self.frame.grid
+        fitting(state, "ratio", torch.float32, (count, grid.rows, grid.columns))
+        fitting(state, "shift_m", torch.float32, (count, 2))
+        fitting(state, "view_deg", torch.float64, (count, 4 if state["view_deg"].shape[-1:] == (4,) else 2))
+        if not all(tensor.isfinite().all() for tensor in state.values()):
+            raise ValueError("the texture has numbers that are not finite")
+        self.maps = Maps(state, grid, self.settings)
 
 
 class Maps:
@@ -137,15 +144,6 @@ class Maps:
         ground_m = (pixels - shift_m) @ np.linalg.inv(_onto_image(view)).T
         ratios, weights = _sampled(total, ground_m / (self._pitch_m * (self._half + 0.5)))
         return (self._settings.texture_looks + ratios) / (self._settings.texture_looks + weights)
-
-
-def _check(state: Parameters, count: int, grid: ImageGrid) -> None:
-    """Raise ValueError or KeyError unless a saved texture is one of `count` images on this grid."""
-    fitting(state, "ratio", torch.float32, (count, grid.rows, grid.columns))
-    fitting(state, "shift_m", torch.float32, (count, 2))
-    fitting(state, "view_deg", torch.float64, (count, 4 if state["view_deg"].shape[-1:] == (4,) else 2))
-    if not all(tensor.isfinite().all() for tensor in state.values()):
-        raise ValueError("the texture has numbers that are not finite")
 
 
 def _view(azimuth_deg: float, grazing_deg: float, tilt_deg: float = 0.0, left: float = 0.0) -> View:

@@ -70,7 +70,6 @@ class Info:
     """Degree of the harmonics in use."""
     rays: RayGrid
     bounds: Bounds
-    """Bounds of the Gaussians."""
     generator: torch.Generator
     """The only source of random numbers, on the CPU."""
 

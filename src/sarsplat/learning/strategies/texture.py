@@ -31,15 +31,11 @@ class TextureEstimation(Configured):
         first = self._settings.texture_from * self._iterations
         return at_round(step, first, self._iterations, self._settings.texture_rounds)
 
-    def step_post_backward(
-        self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
-    ) -> None:
-        if info.images.grid == info.model.frame.grid:  # only at full resolution
-            super().step_post_backward(params, optimizers, state, step, info)
-
     @torch.no_grad()
     def act(self, params: dict[str, Tensor], optimizers: Optimiser, state: State, info: Info) -> None:
         images = info.images
+        if images.grid != info.model.frame.grid:  # only at full resolution
+            return
         compared = info.compared(images.views, np.arange(len(images.views)))
         ratio = torch.cat([measured / rendered for measured, rendered in compared])
         shift = info.model.shot(images.views, images.grid, images.numbers).shift

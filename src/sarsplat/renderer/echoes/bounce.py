@@ -23,11 +23,13 @@ from sarsplat.gaussians.gaussians import check_same_kind
 from sarsplat.geometry import ImageGrid, RayGrid, Terrain, View
 from sarsplat.geometry.view import check_unstretched
 from sarsplat.renderer.echoes.echo import Echo, Sighting
+from sarsplat.renderer.engines.abi import api
 from sarsplat.renderer.engines.choice import passes_for
 from sarsplat.renderer.engines.on_device import by_view
-from sarsplat.renderer.engines.passes import NewPass
+from sarsplat.renderer.engines.passes import NewPass, Pass
 from sarsplat.renderer.engines.problem import level_direction
-from sarsplat.renderer.operations import Steps, amplitudes_along, bounced_with
+from sarsplat.renderer.engines.stages import Bounce
+from sarsplat.renderer.operations import Steps, amplitudes_along, foot
 from sarsplat.renderer.rendering import Footprints
 
 _COHERENT = 4.0  # power of two equal amplitudes over that of one
@@ -86,20 +88,7 @@ class GroundBounce(Echo):
         if self.amplitudes is not None and len(self.amplitudes) != len(s.views):
             raise SarsplatError(f"the bounce's amplitudes are of {len(self.amplitudes)} views, not of {len(s.views)}")
         if s.new_pass is not None and (kernel := s.new_pass()).has("bounce", {}):
-            assert s.ends is not None  # wants_ray_ends
-            beta0 = bounced_with(
-                kernel,
-                s.gaussians,
-                s.views,
-                s.grid,
-                rays=s.rays,
-                amplitudes=self._amplitudes(s),
-                shift=s.shift,
-                lit_area=s.lit_area,
-                ends=s.ends,
-                height_m=self._height,
-                factor=_COHERENT,
-            )
+            beta0 = self._in_one_call(kernel, s)
         else:
             steps = Steps(s.new_pass, s.cuts)
             cross_sections, footprints = self._parts(steps, s.gaussians, s.views, s.grid, s.rays, s.shift)
@@ -131,11 +120,24 @@ class GroundBounce(Echo):
         lit = product.where(positive, 1.0).sqrt() * positive  # the root's slope at 0 is infinite, and taken as 0
         return lit * amplitudes * _COHERENT, steps.pressed_flat(gaussians, views, grid, shift, self._height)
 
-    def _amplitudes(self, s: Sighting) -> Float[Tensor, "v n 1"] | None:
-        """Return amplitudes for an engine; None for harmonics, which it evaluates itself."""
-        if self.amplitudes is None and isinstance(s.gaussians.scattering, Harmonics):
-            return None
-        return (_gamma0(s.new_pass, s.gaussians, s.views) if self.amplitudes is None else self.amplitudes)[..., None]
+    def _in_one_call(self, kernel: Pass, s: Sighting) -> Float[Tensor, "v rows columns"]:
+        """Return images by an engine, with the lit areas and the ray ends of the rendering."""
+        assert s.ends is not None  # wants_ray_ends
+        g, (dx, dy), harmonics, amplitudes = s.gaussians, s.rays.spacing_m, None, self.amplitudes
+        if amplitudes is None and isinstance(g.scattering, Harmonics):
+            harmonics = g.scattering.parameters  # kernels evaluate these themselves
+        elif amplitudes is None:
+            amplitudes = _gamma0(s.new_pass, g, s.views)
+        step = Bounce(kernel, s.views, s.grid, s.rays, g.scattering.p_min)
+        step.height_m, step.factor = self._height, _COHERENT
+        step.lattices = [
+            api.lattice(round(x / dx - 0.5), round(y / dy - 0.5), *size)
+            for size, (x, y) in zip(s.ends.sizes, s.ends.origins, strict=True)
+        ]
+        channel = None if amplitudes is None else amplitudes[..., None]
+        moved = foot(g, s.views, s.shift, self._height)
+        arrays = g.means, g.quaternions, g.scales, g.optical_depth, harmonics, channel, moved
+        return step.of(*arrays, s.ends.transmittance, s.lit_area)[0]
 
     @property
     def _height(self) -> float:

@@ -1,7 +1,7 @@
 """Operations on a GPU: arrays and launches. To add one, write a function and list it in `OPERATIONS`."""
 
 import ctypes
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from ctypes import c_int32, c_int64, c_void_p
 from dataclasses import dataclass, field
 from typing import Any
@@ -60,24 +60,16 @@ def _lit_ground(on: Arrays, ground: ctypes.Structure) -> None:
     """Fill in the lit share of the ground, or its gradients."""
     patches = ground.patches[: ground.of_views]
     rows, columns = (max(one.count for one in axes) for axes in zip(*((p.rows, p.columns) for p in patches)))
-    pixels = ground.views, ground.rows.count + ground.columns.count
     azimuth_std, range_std = ground.std
     widths = [_width(axis, std) for p in patches for axis, std in ((p.rows, range_std), (p.columns, azimuth_std))]
-    state = _GroundState(width=max(1, *widths), columns=columns)
-    for name in ("first", "end"):
-        setattr(state, name, on.new(name, *pixels, dtype=torch.int32).data_ptr())
-    for name in ("weight", "slope") if ground.d_shift else ("weight",):
-        setattr(state, name, on.new(name, *pixels, state.width).data_ptr())
+    call = _with_patches(on, ground, patches)
+    state = _weighed(on, call, ground.rows.count + ground.columns.count, widths, columns, bool(ground.d_shift))
     state.between = on.new("between", ground.views, ground.rows.count, columns).data_ptr()
 
     def over(kernel: str, rows: int, columns: int) -> None:
         blocks = _blocks(rows, columns)
         on.launch(kernel, ground.views * blocks, call, state, c_int32(blocks))
 
-    call = api.ground.from_buffer_copy(ground)
-    on_device = on.sent(ctypes.string_at(ground.patches, ctypes.sizeof(api.patches) * ground.of_views))
-    call.patches = ctypes.cast(on_device.data_ptr(), type(call.patches))
-    on.launch("weigh_ground", -(-pixels[0] * pixels[1] * state.width // THREADS), call, state)
     if not ground.d_lit:
         over("see_ground", ground.rows.count, columns)
         over("light_ground", ground.rows.count, ground.columns.count)
@@ -96,24 +88,14 @@ def _lit_terrain(on: Arrays, terrain: ctypes.Structure) -> None:
     rows, across = max(one.rows for one in patches), max(one.across.count for one in patches)
     traced = [max(one.traced[axis] for one in patches) for axis in range(2)]
     places, cells = terrain.places[0] * terrain.places[1], max(one.rows * one.across.count for one in patches)
-    call = api.terrain.from_buffer_copy(terrain)
-    on_device = on.sent(ctypes.string_at(terrain.patches, ctypes.sizeof(api.terrain_patches) * terrain.of_views))
-    call.patches = ctypes.cast(on_device.data_ptr(), type(call.patches))
-
+    call = _with_patches(on, terrain, patches)
     # columns alone, as if the ground were level
     level = api.ground(
         views=views, columns=terrain.columns, std=terrain.std, shift=terrain.shift, chosen=terrain.chosen
     )
-    bands = (api.patches * terrain.of_views)(*(api.patches(columns=one.across) for one in patches))
-    bands_there = on.sent(bytes(bands))
-    level.patches = ctypes.cast(bands_there.data_ptr(), type(level.patches))
-    ground = _GroundState(width=max(1, *(_width(one.across, terrain.std[0]) for one in patches)), columns=across)
-    for name in ("first", "end"):
-        setattr(ground, name, on.new(name, views, columns, dtype=torch.int32).data_ptr())
-    for name in ("weight", "slope") if terrain.d_shift else ("weight",):
-        setattr(ground, name, on.new(name, views, columns, ground.width).data_ptr())
-    on.launch("weigh_ground", -(-views * columns * ground.width // THREADS), level, ground)
-
+    level = _with_patches(on, level, [api.patches(columns=one.across) for one in patches])
+    widths = [_width(one.across, terrain.std[0]) for one in patches]
+    ground = _weighed(on, level, columns, widths, across, bool(terrain.d_shift))
     state = _TerrainState(cells=cells, columns=across)
 
     def arrays(*names: str, of: tuple[int, ...], dtype: torch.dtype = torch.float32) -> list[Tensor]:
@@ -153,6 +135,27 @@ def _lit_terrain(on: Arrays, terrain: ctypes.Structure) -> None:
     on.launch("write_places", -(-views * places // THREADS), call, state)
     if terrain.d_shift:
         on.launch("sum_terrain_shift", views, call, state, *map(c_int32, shares))
+
+
+def _with_patches(on: Arrays, call: ctypes.Structure, patches: Sequence[ctypes.Structure]) -> ctypes.Structure:
+    """Return a copy of a call whose patches are on the device."""
+    copy = type(call).from_buffer_copy(call)
+    on_device = on.keep(f"patches of {type(call).__name__}", on.sent(b"".join(patches)))
+    copy.patches = ctypes.cast(on_device.data_ptr(), type(copy.patches))
+    return copy
+
+
+def _weighed(
+    on: Arrays, ground: ctypes.Structure, pixels: int, widths: Sequence[int], columns: int, slopes: bool
+) -> ctypes.Structure:
+    """Weigh the patches in the responses of pixels; also return the weights' slopes if asked for."""
+    state = _GroundState(width=max(1, *widths), columns=columns)
+    for name in ("first", "end"):
+        setattr(state, name, on.new(name, ground.views, pixels, dtype=torch.int32).data_ptr())
+    for name in ("weight", "slope") if slopes else ("weight",):
+        setattr(state, name, on.new(name, ground.views, pixels, state.width).data_ptr())
+    on.launch("weigh_ground", -(-ground.views * pixels * state.width // THREADS), ground, state)
+    return state
 
 
 def _width(patches: Any, std: float) -> int:

@@ -49,10 +49,12 @@ class _OfGaussians(Stage):
         super().__init__(kernel)
         self.views, self.grid, self.rays, self.p_min = views, grid, rays, p_min
 
-    def pose(self, inputs: Tensors) -> Any:
-        """Make the problem of these inputs."""
+    def pose(self, inputs: Tensors) -> tuple[Any, Tensor]:
+        """Make the problem of these inputs; return it and the means."""
+        means = inputs[0]
+        assert means is not None
         self.problem, self.constants = problem_of(inputs, self.views, self.grid, self.rays, self.p_min, self.peak)
-        return self.problem
+        return self.problem, means
 
     def new_gradients(self, saved: list[Any]) -> list[Tensor | None]:
         """Make tensors for gradients of the given inputs; of the shift, which takes an extra kernel, only if needed."""
@@ -86,8 +88,7 @@ class Render(_OfGaussians):
     constant = (4,)
 
     def forward(self, inputs: Tensors) -> tuple[Tensor, ...]:
-        problem, means = self.pose(inputs), inputs[0]
-        assert means is not None
+        problem, means = self.pose(inputs)
         problem.in_sight = pointer(self.in_sight)
         views, n, channels = problem.views, problem.gaussians, problem.channels
         # never torch's default dtype or device
@@ -114,8 +115,7 @@ class Project(_OfGaussians):
     """Projection; the last of its tensors is γ⁰ of harmonics."""
 
     def forward(self, inputs: Tensors) -> tuple[Tensor, ...]:
-        problem, means = self.pose(inputs), inputs[0]
-        assert means is not None
+        problem, means = self.pose(inputs)
         outputs = tuple(_by_view(means, problem, width) for width in _WIDTHS)
         self.accept(inputs, *self.kernel.forward("project", problem, api.projection(*map(pointer, outputs))))
         self.constant = (3, 4) if problem.coefficients else (3, 4, 7)
@@ -136,13 +136,12 @@ class Project(_OfGaussians):
 class PressedFlat(Project):
     """Projection of Gaussians pressed flat onto z = 0; only footprints on the imaging plane are valid."""
 
-    def pose(self, inputs: Tensors) -> Any:
-        problem, means = super().pose(inputs), inputs[0]
-        assert means is not None
+    def pose(self, inputs: Tensors) -> tuple[Any, Tensor]:
+        problem, means = super().pose(inputs)
         frames = by_view(flat_frame, self.views, means.device)
         self.constants = (*self.constants, frames)
         problem.frames = pointer(frames)
-        return problem
+        return problem, means
 
 
 class Bounce(_OfGaussians):
@@ -150,25 +149,15 @@ class Bounce(_OfGaussians):
 
     names = (*ARRAYS, "transmittance", "lit_area")
 
-    def __init__(
-        self,
-        kernel: Pass,
-        views: Sequence[View],
-        grid: ImageGrid,
-        rays: RayGrid,
-        p_min: float,
-        lattices: Sequence[Any],
-        height_m: float,
-        factor: float,
-    ) -> None:
-        super().__init__(kernel, views, grid, rays, p_min)
-        self.lattices = (api.lattice * len(lattices))(*lattices)
-        self.height_m, self.factor = height_m, factor
+    lattices: Sequence[Any]
+    """Lattices of the rays of each view."""
+    height_m: float
+    factor: float
+    """Factor on √(lit area · lit area by way of the mirror) times amplitudes."""
 
-    def pose(self, inputs: Tensors) -> Any:
+    def pose(self, inputs: Tensors) -> tuple[Any, Tensor]:
         """Make the problem, with rays of the mirror image, and harmonics halfway between the two ways."""
-        problem, means = super().pose(inputs[: len(ARRAYS)]), inputs[0]
-        assert means is not None
+        problem, means = super().pose(inputs[: len(ARRAYS)])
         device = means.device
         frames, feet = (by_view(of, self.views, device) for of in (mirrored_frame, flat_frame))
         offset, basis = by_view(mirror_offset, self.views, self.height_m, device), None
@@ -176,11 +165,10 @@ class Bounce(_OfGaussians):
             basis = by_view(basis_of, self.views, math.isqrt(problem.coefficients) - 1, True, device)
         self.constants = frames, feet, offset, basis
         problem.frames, problem.basis = pointer(frames), pointer(basis)
-        return problem
+        return problem, means
 
     def forward(self, inputs: Tensors) -> tuple[Tensor, ...]:
-        problem, means = self.pose(inputs), inputs[0]
-        assert means is not None
+        problem, means = self.pose(inputs)
         images = means.new_empty(problem.views, self.grid.rows, self.grid.columns)
         self.accept(inputs, *self.kernel.forward("bounce", problem, self._bounce(inputs), images.data_ptr()))
         return (images,)
@@ -203,7 +191,7 @@ class Bounce(_OfGaussians):
             image_frames=pointer(feet),
             offset=pointer(offset),
             transmittance=pointer(transmittance),
-            lattices=self.lattices,
+            lattices=(api.lattice * len(self.lattices))(*self.lattices),
             lit_area=pointer(lit_area),
             factor=self.factor,
         )
