@@ -50,3 +50,16 @@ def peak(image: np.ndarray, grid: ImageGrid) -> tuple[float, float]:
         grid.azimuth_m[column] + grid.spacing_m[0] * between(level[row, column - 1 : column + 2]),
         grid.range_m[row] + grid.spacing_m[1] * between(level[row - 1 : row + 2, column]),
     )
+
+
+def peak_beside(image: np.ndarray, grid: ImageGrid, azimuth_m: float, range_m: float) -> tuple[np.ndarray, float]:
+    """How far (azimuth, range), m, the peak is from a place at most two pixels away, by the spectrum, and its level."""
+    place = (range_m - grid.range_m[0]) / grid.spacing_m[1], (azimuth_m - grid.azimuth_m[0]) / grid.spacing_m[0]
+    within = np.arange(-128, 129) / 64  # pixels
+    down, across = (
+        np.exp(2j * np.pi * np.outer(at + within, np.fft.fftfreq(size))) / size
+        for at, size in zip(place, image.shape, strict=True)
+    )
+    fine = np.abs(down @ np.fft.fft2(image) @ across.T)
+    row, column = np.unravel_index(fine.argmax(), fine.shape)
+    return within[[column, row]] * grid.spacing_m, float(fine.max())

@@ -8,7 +8,7 @@ import ast
 import json
 import re
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
 
@@ -37,9 +37,9 @@ MESSAGE_CALLS = {"SarsplatError", "warn", "warn_caller"}
 """Functions whose arguments are messages to a user."""
 
 
-def _sentences(tree: ast.Module) -> Iterator[tuple[bool, str]]:
+def _sentences(nodes: Sequence[ast.AST]) -> Iterator[tuple[bool, str]]:
     """Docstrings (True) of modules, classes, functions and constants, and messages (False)."""
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
             yield True, (ast.get_docstring(node) or "").strip()
         if isinstance(node, ast.Module | ast.ClassDef):
@@ -59,12 +59,12 @@ def _measured() -> dict[str, dict[str, int]]:
         parts = path.relative_to(SOURCE).parts
         room = rooms.setdefault(parts[0] if len(parts) > 1 else ".", Counter())
         text = path.read_text()
-        tree = ast.parse(text)
+        nodes = [*ast.walk(ast.parse(text))]
         room["lines"] += text.count("\n")
         room["files"] += 1
-        room["raises"] += sum(isinstance(node, ast.Raise) for node in ast.walk(tree))
+        room["raises"] += sum(isinstance(node, ast.Raise) for node in nodes)
         room["hard sentences"] += sum(
-            bool(HARD_PHRASE.search(text) or (doc and HARD_START.match(text))) for doc, text in _sentences(tree)
+            bool(HARD_PHRASE.search(text) or (doc and HARD_START.match(text))) for doc, text in _sentences(nodes)
         )
     tests = sum(path.read_text().count("\n") for path in (ROOT / "tests").rglob("*.py"))
     return {room: dict(sorted(rooms[room].items())) for room in sorted(rooms)} | {"tests": {"lines": tests}}

@@ -136,12 +136,6 @@ for folder in ("renderer", "scenes"):
     exec(f"from sarsplat.{folder} import *", {})
     answer(folder, sorted(sys.modules))
 
-forget()
-for folder in rooms:
-    importlib.import_module(f"sarsplat.{folder}")
-import sarsplat
-answer("folders first", callable(sarsplat.render) and callable(sarsplat.reconstruct))
-
 class Missing:
     def find_spec(self, name, path=None, target=None):
         if name.partition(".")[0] in extras:
@@ -151,7 +145,10 @@ sys.meta_path.insert(0, Missing())
 for name in [name for name in sys.modules if name.partition(".")[0] in extras]:
     del sys.modules[name]
 forget()
+for folder in rooms:
+    importlib.import_module(f"sarsplat.{folder}")
 import sarsplat
+answer("folders first", callable(sarsplat.render) and callable(sarsplat.reconstruct))
 import_all()
 for name in sarsplat.__all__:
     getattr(sarsplat, name)

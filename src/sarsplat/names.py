@@ -13,7 +13,6 @@ SCATTERINGS = discover("sarsplat.gaussians", "law_", "LAW", "sarsplat.scattering
 """Laws of scattering by their `kind`, imported at first use."""
 
 Simulator = Literal["raycast", "splat"]
-"""Simulators of images."""
 
 Swept = Literal["azimuth", "grazing"]
 """Angles that can change along a film strip."""
@@ -34,7 +33,6 @@ Projection = Literal["level", "terrain"]
 """Surfaces that geocoded images were projected onto."""
 
 RadarSide = Literal["right", "left"]
-"""Look sides of a radar."""
 
 Side = Literal["top", "right", "bottom", "left"]
 """Sides of an image, in order of the counter-clockwise quarter turns that bring each to the top."""

@@ -35,9 +35,8 @@ EVERY = pytest.mark.parametrize("method", SHORT)
 
 def short(method: str):
     settings = BASELINES[method].defaults
-    coarse = {"surface_voxels": 12} if hasattr(settings, "surface_voxels") else {}
-    few = {"rays": 2} if hasattr(settings, "rays") else {}
-    return replace(settings, iterations=SHORT[method], checkpoint_every=max(1, SHORT[method] // 3), **coarse, **few)
+    few = {"surface_voxels": 12, "rays": 2} if hasattr(settings, "rays") else {}
+    return replace(settings, iterations=SHORT[method], checkpoint_every=max(1, SHORT[method] // 3), **few)
 
 
 def trained(method: str, small_box: Dataset, out: Path | None = None, **options) -> Run:

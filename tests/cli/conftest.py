@@ -14,25 +14,35 @@ Command = Callable[[str | Sequence[str]], str]
 
 
 @pytest.fixture
-def said(capsys: pytest.CaptureFixture[str]) -> Command:
-    """What a command that succeeds says on stdout."""
+def ended(capsys: pytest.CaptureFixture[str]) -> Callable[[str | Sequence[str], int], tuple[str, str]]:
+    """What a command that ends with this code says on stdout and on stderr."""
 
-    def run(words: str | Sequence[str]) -> str:
+    def run(words: str | Sequence[str], code: int) -> tuple[str, str]:
         capsys.readouterr()
-        assert main(words.split() if isinstance(words, str) else words) == 0
-        return capsys.readouterr().out
+        assert main(words.split() if isinstance(words, str) else words) == code
+        return capsys.readouterr()
 
     return run
 
 
 @pytest.fixture
-def refused(capsys: pytest.CaptureFixture[str]) -> Command:
+def said(ended) -> Command:
+    """What a command that succeeds says on stdout."""
+    return lambda words: ended(words, 0)[0]
+
+
+@pytest.fixture
+def warned(ended) -> Command:
+    """What a command that succeeds says on stderr, on one line."""
+    return lambda words: " ".join(ended(words, 0)[1].split())
+
+
+@pytest.fixture
+def refused(ended) -> Command:
     """What is said to a command that is refused: one sentence."""
 
     def run(words: str | Sequence[str]) -> str:
-        capsys.readouterr()
-        assert main(words.split() if isinstance(words, str) else words) == 2
-        complaint = capsys.readouterr().err
+        _, complaint = ended(words, 2)
         assert complaint.startswith("error: ")
         assert complaint.count("\n") == 1
         return complaint

@@ -3,16 +3,15 @@
 import json
 import re
 import shutil
-from dataclasses import replace
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from made import dataset_of
 from sarsplat import Dataset, ImageGrid, Place, Run, SarImage, Turn, View, read_dataset, write_dataset
-from sarsplat.cli import main
 from sarsplat.cli.info_dataset import PLAIN, PRETTY, sky_chart, symbols_for
 from sarsplat.runs.run_folder import names_of
 from sarsplat.sweeps import Plan
@@ -21,12 +20,16 @@ GRID = ImageGrid(8, 8, (0.3, 0.3), (0.3, 0.3))
 RING = [View(float(azimuth), 45.0) for azimuth in range(0, 360, 15) if not 100 < azimuth < 200]
 
 
+def written(folder: Path, train: list[View], test: Sequence[View] = (), **fields: Any) -> Path:
+    views = [*((view, "train") for view in train), *((view, "test") for view in test)]
+    images = np.random.default_rng(0).random((len(views), 8, 8), np.float32)
+    write_dataset(folder / "data", dataset_of(GRID, views, images, **fields))
+    return folder / "data"
+
+
 @pytest.fixture
 def dataset(tmp_path: Path) -> Path:
-    views = [(view, "train") for view in RING] + [(View(150, 30), "test")]
-    images = np.random.default_rng(0).random((len(views), 8, 8), np.float32)
-    write_dataset(tmp_path / "data", dataset_of(GRID, views, images))
-    return tmp_path / "data"
+    return written(tmp_path, RING, [View(150, 30)])
 
 
 def test_views_gap_and_chart(dataset: Path, said) -> None:
@@ -37,19 +40,16 @@ def test_views_gap_and_chart(dataset: Path, said) -> None:
     assert "0° (nose)" in told
 
 
-def test_azimuths_of_a_place_count_from_a_bearing(dataset: Path, tmp_path: Path, said) -> None:
+def test_azimuths_of_a_place_count_from_a_bearing(tmp_path: Path, said) -> None:
     """Houses have no nose."""
-    write_dataset(tmp_path / "site", replace(read_dataset(dataset), place=Place(47.4, 8.5, 430.0, x_towards_deg=90)))
-    told = said(f"info {tmp_path / 'site'}")
+    told = said(f"info {written(tmp_path, RING, place=Place(47.4, 8.5, 430.0, x_towards_deg=90))}")
     assert "0° (compass bearing 90°)" in told
     assert "nose" not in told
 
 
 def test_azimuths_that_are_0_but_for_rounding_are_said_to_be(tmp_path: Path, said) -> None:
     views = [View(azimuth + 4e-12 * (-1) ** k, 45.0) for k, azimuth in enumerate(range(360, 0, -15), 1)]
-    images = np.random.default_rng(0).random((len(views), 8, 8), np.float32)
-    write_dataset(tmp_path / "data", dataset_of(GRID, [(view, "train") for view in views], images))
-    assert re.search(r"train +45° +24 +0° … 345°", said(f"info {tmp_path / 'data'}"))
+    assert re.search(r"train +45° +24 +0° … 345°", said(f"info {written(tmp_path, views)}"))
 
 
 def rows(symbols=PRETTY, train=(), test=(), width=80) -> list[str]:
@@ -82,9 +82,8 @@ def test_where_images_come_from_is_said_in_words(tmp_path: Path, said) -> None:
         "assumptions": ["the nose is at 0°", "the ground is flat"],
         "offset": 0.0,
     }
-    one = dataset_of(GRID, [(RING[0], "train")], np.ones((1, 8, 8), np.float32), source=source)
-    write_dataset(tmp_path / "data", one)
-    lines = [" ".join(line.split()) for line in said(f"info {tmp_path}/data").splitlines()]
+    told = said(f"info {written(tmp_path, RING[:1], source=source)}")
+    lines = [" ".join(line.split()) for line in told.splitlines()]
     first = lines.index("assumed the nose is at 0°")
     assert lines[first + 1] == "the ground is flat"
     assert "source.apertures 2, listed in dataset.json" in lines
@@ -112,7 +111,6 @@ def test_narrow_terminals_and_few_letters() -> None:
     assert chart.isascii()
     assert chart.count("o") >= len(RING) - 2  # and the o of nose
     assert chart.count("x") == 1
-    assert Console(width=40).width == 40
 
 
 def test_pictures(dataset: Path, tmp_path: Path, said, refused) -> None:
@@ -230,17 +228,14 @@ def test_info_on_an_unfinished_run_says_how_to_go_on(run: Path, tmp_path: Path, 
     assert "state finished, but its checkpoint is missing, so it can be neither rendered nor continued" in told()
 
 
-def test_a_run_that_loses_says_so_wherever_it_is_shown(run: Path, tmp_path: Path, capsys) -> None:
+def test_a_run_that_loses_says_so_wherever_it_is_shown(run: Path, tmp_path: Path, ended, said) -> None:
     metrics = json.loads((run / "metrics.json").read_text())
     metrics["baselines"], metrics["missing"] = {"test": {"rotated_average": {"psnr_db": 99.5}}}, [[1.0, 2.0, 0.5]]
     (run / "metrics.json").write_text(json.dumps(metrics))
     sentence = "warning: on the set test the baseline rotated average, which knows no third dimension, is better than"
     for words in (f"info {run}", f"export {run} {tmp_path}/points.ply --format points", f"compare {run} run"):
-        capsys.readouterr()
-        assert main(words.split()) == 0
-        out, err = capsys.readouterr()
+        out, err = ended(words, 0)
         assert sentence in err, words
     assert "rotated average" in out  # a column of its own
     assert re.search(r"1 place where images show what points lack: \(1\.0, 2\.0, 0\.5\)", " ".join(out.split()))
-    assert main(["info", str(run.parent)]) == 0
-    assert "; worse than rotated average on test, 99.50" in " ".join(capsys.readouterr().out.split())
+    assert "; worse than rotated average on test, 99.50" in " ".join(said(f"info {run.parent}").split())

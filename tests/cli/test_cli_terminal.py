@@ -156,13 +156,12 @@ def test_parameters_are_options(message: str, shown: str) -> None:
     ("grazing", "told"),
     [(15, ["the shape is uncertain; add views", "is uncertain: the weakest direction of its views is 77°"]), (60, [])],
 )
-def test_an_uncertain_shape_is_called_so_before_and_after(box: Path, grazing, told, tmp_path: Path, capsys) -> None:
+def test_an_uncertain_shape_is_called_so_before_and_after(box: Path, grazing, told, tmp_path: Path, ended) -> None:
     ring = f"simulate --mesh {box}/box.obj --azimuth 0:360:45 --grazing {grazing} --pixels 16 --out {tmp_path}/ring"
     few = "--iterations 20 --gaussians 200 --points.voxel 0.3 --points.rays-per-pixel 2"
     assert main(ring.split()) == 0
-    capsys.readouterr()
-    assert main(f"reconstruct {tmp_path}/ring {few} --out {tmp_path}/run".split()) == 0
-    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("warning: ")]
+    _, complaints = ended(f"reconstruct {tmp_path}/ring {few} --out {tmp_path}/run", 0)
+    lines = [line for line in complaints.splitlines() if line.startswith("warning: ")]
     assert len(lines) == len(told)
     assert all(part in line for part, line in zip(told, lines, strict=True))
 

@@ -57,15 +57,20 @@ def test_the_step_is_the_median_without_the_largest_gap():
     assert group.step_deg == 20  # of 20, 20, 150 and 170
 
 
-def test_a_whole_circle_is_shared_out_from_zero():
-    assert even_azimuths(range(0, 360, 10), 4) == [0, 90, 180, 270]
+PART = [10, 20, 35, 50, 70]
+
+
+@pytest.mark.parametrize(
+    ("azimuths", "expected"),
+    [
+        (range(0, 360, 10), [0, 90, 180, 270]),
+        *((PART, expected) for expected in ([0], [10, 70], [10, 30, 50, 70])),
+        ([330, 350, 10, 30], [330, 0, 30]),
+    ],
+)
+def test_a_circle_is_shared_out_from_zero_and_a_part_from_end_to_end(azimuths, expected):
+    assert [azimuth % 360 for azimuth in even_azimuths(azimuths, len(expected))] == expected
+
+
+def test_the_nearest_are_distinct():
     assert nearest_to([5, 91, 179, 268, 275], [0, 90, 180, 270]) == [0, 1, 2, 3]
-
-
-@pytest.mark.parametrize(("count", "expected"), [(1, [0]), (2, [10, 70]), (4, [10, 30, 50, 70])])
-def test_a_part_of_it_is_shared_out_from_end_to_end(count, expected):
-    assert even_azimuths([10, 20, 35, 50, 70], count) == expected
-
-
-def test_a_part_across_zero():
-    assert [azimuth % 360 for azimuth in even_azimuths([330, 350, 10, 30], 3)] == [330, 0, 30]

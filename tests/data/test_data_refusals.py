@@ -34,7 +34,7 @@ from sarsplat.data import (
 )
 from sarsplat.data.csv_table import CsvTable, read_table, relative_path
 from sarsplat.data.files import write_bytes
-from sarsplat.gaussians import Gaussians, Harmonics
+from sarsplat.gaussians import Harmonics
 from sarsplat.geometry import ImageGrid, View
 
 # ---- files, checkpoints, tables ----
@@ -230,23 +230,11 @@ def linked(folder: Path, target: str) -> None:
     (folder / "images" / "000.tif").symlink_to(target)
 
 
-def read_beside(*names: str) -> Do:
-    """What is beside `images` in a folder with files of these names."""
-
-    def do(at: Path) -> object:
-        (at / "set").mkdir()
-        for name in names:
-            (at / "set" / name).touch()
-        return read_dataset(at / "set")
-
-    return do
-
-
 FOLDERS: Refusals = [
     (lambda at: read_dataset(at / "nowhere"), "does not exist"),
-    (read_beside(), "is not a dataset"),
-    (read_beside("001.tif"), r"not a dataset, .* no dataset\.json; .* `sarsplat info .*` recommends"),
-    (read_beside("metrics.jsonl"), "looks like a run"),
+    (read_dataset, "is not a dataset"),
+    (touched("001.tif", read_dataset), r"not a dataset, .* no dataset\.json; .* `sarsplat info .*` recommends"),
+    (touched("metrics.jsonl", read_dataset), "looks like a run"),
     (stored(b"{}", read_dataset, "dataset.json"), "is a file, not a folder"),
     (altered(lambda folder: linked(folder, "../../elsewhere.tif")), "is not inside"),
     (altered(lambda folder: linked(folder, "001.tif")), "same image file"),
@@ -352,12 +340,10 @@ def points(places: np.ndarray, **columns: np.ndarray) -> Do:
 
 def points_with(old: bytes, new: bytes) -> Do:
     """Points that are read with other words in their header."""
-
-    def do(at: Path) -> object:
-        write_points_ply(at / "p.ply", np.ones((9, 3)), power=np.arange(9))
-        return read_points_ply(replaced(at / "p.ply", old, new))
-
-    return do
+    made = np.ones((9, 3))
+    return lambda at: (
+        write_points_ply(at / "p.ply", made, power=made[:, 0]) or read_points_ply(replaced(at / "p.ply", old, new))
+    )
 
 
 def gaussians_with(old: bytes, new: bytes) -> Do:
@@ -378,17 +364,8 @@ def gaussians(name: str, value: float) -> Do:
     return lambda at: write_gaussians_ply(at / "out.ply", SCENE.with_tensors(**{name: tensor}))
 
 
-def far(distance_m: float) -> Do:
-    def do(at: Path) -> object:
-        write_points_ply(at / "p.ply", np.array([[0, 0, 0], [0, distance_m, 0]]))
-        return read_points_ply(at / "p.ply")
-
-    return do
-
-
-def points_as_gaussians(at: Path) -> Gaussians:
-    write_points_ply(at / "p.ply", np.ones((9, 3)))
-    return read_gaussians_ply(at / "p.ply")
+def points_read(places: np.ndarray, read: Do) -> Do:
+    return lambda at: write_points_ply(at / "p.ply", places) or read(at / "p.ply")
 
 
 P_MIN = b'"p_min": 0.05'
@@ -401,7 +378,10 @@ PLY: Refusals = [
     (points(np.zeros((4, 3)), a=np.zeros(3)), r"column 'a' .* has shape \(3,\)"),
     (points(np.zeros((4, 3)), x=np.zeros(4)), "column 'x'"),
     (points(np.full((4, 3), np.nan)), "NaN or an infinity"),
-    *((far(distance_m), r"p\.ply holds a point .* m from the origin") for distance_m in (3e38, -1.1e9)),
+    *(
+        (points_read(np.eye(3) * far, read_points_ply), r"p\.ply holds a point .* from the origin")
+        for far in (3e38, -1.1e9)
+    ),
     (stored(bytes(33), read_gaussians_ply, "a.splat"), r"a\.splat has 33 bytes"),
     (stored(b"NGSP", read_gaussians_ply, "a.spz"), r"a\.spz is not a PLY .* or convert it, z up, with splat-"),
     (points_with(b"vertex 9", b"vertex 999999999999"), "is truncated"),
@@ -412,7 +392,7 @@ PLY: Refusals = [
     (points_with(b"float x", b"float q"), "is missing the vertex property 'x'"),
     (points_with(b"float y", b"float x"), "different names"),
     (points_with(b"element vertex", b"element corner"), "not one of vertices"),
-    (points_as_gaussians, "is missing the vertex property 'rot_0'"),
+    (points_read(np.eye(3), read_gaussians_ply), "is missing the vertex property 'rot_0'"),
     (lambda at: read_gaussians_ply(at / "none.ply"), "does not exist"),
     (gaussians_with(b"gaussians 2", b"gaussians 3"), "'sarsplat gaussians 3'"),
     (gaussians_with(b"scattering {", b"scattered {"), "exactly one scattering law"),

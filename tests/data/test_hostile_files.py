@@ -74,7 +74,7 @@ def test_valid_files_are_read(reader, places):
 
 @pytest.mark.parametrize("reader", READERS, ids=lambda reader: reader.name)
 def test_spoilt_files_are_read_or_refused(reader, places):
-    for number in range(15):
+    for number in range(10):
         rng = Random(number)
         data = reader.spoil(rng.choice(seeds_of(reader)), rng)
         assert judge(reader, places[reader.name], data, Tally()) is None, number

@@ -72,8 +72,8 @@ def in_a_viewer(path: Path, towards: torch.Tensor) -> np.ndarray:
     return torch.stack(shown, dim=1).numpy()
 
 
-@pytest.mark.parametrize("strength", [1e-3, 1.0, 1e3])
-@pytest.mark.parametrize("u", [(0.3, -0.8, 0.4), (-0.7, 0.1, 0.6), (0.1, 0.2, 0.9)])
+@pytest.mark.parametrize("strength", [1e-3, 1e3])
+@pytest.mark.parametrize("u", [(0.3, -0.8, 0.4), (0.1, 0.2, 0.9)])
 def test_viewers_show_decibels_whatever_the_calibration(tmp_path, u, strength):
     """Lobes to all sides, over 20 dB: greys in their order, none of them black, and hardly one that is blown out."""
     some_of_them = some(400)

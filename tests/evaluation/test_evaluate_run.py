@@ -9,20 +9,11 @@ import numpy as np
 import pytest
 
 from made import dataset_of
+from made_runs import METRICS, POINT_KEYS
 from programs import elsewhere
 from sarsplat import Dataset, ImageGrid, Run, SarsplatError, SarsplatWarning, View, evaluate_run, write_dataset
 from sarsplat.data.folders import only_writer
-from sarsplat.evaluation import (
-    IMAGE_METRICS,
-    UNSEEN_METRICS,
-    Yardstick,
-    all_metrics,
-    log_correlation,
-    metrics_of_points,
-    nats_per_pixel,
-    psnr_db,
-    register,
-)
+from sarsplat.evaluation import IMAGE_METRICS, UNSEEN_METRICS, log_correlation, nats_per_pixel, psnr_db, register
 from sarsplat.evaluation.lpips import WEIGHTS_VARIABLE
 from sarsplat.runs.run_folder import InMemory, RunFolder
 
@@ -33,10 +24,8 @@ GRID = ImageGrid(SIZE, SIZE, (0.3, 0.3), (0.3, 0.3))
 CUBE = trimesh.creation.box((2, 2, 2), trimesh.transformations.translation_matrix((0, 0, 1)))
 ON_THE_TOP = np.stack([*(a.ravel() for a in np.meshgrid(*[np.linspace(-1, 1, 30)] * 2)), np.full(900, 2.0)], axis=1)
 WEIGHTS = Path(__file__).resolve().parents[3] / "shared" / "data" / "weights"
-YARDSTICK = Yardstick(0.3)
 IMAGE_KEYS = [metric.key for metric in IMAGE_METRICS]
 UNSEEN_KEYS = [metric.key for metric in UNSEEN_METRICS]
-POINT_KEYS = [metric.key for metric in metrics_of_points(YARDSTICK)]
 NOISE_FREE_ONLY, SPECKLED_ONLY = IMAGE_KEYS[:4], IMAGE_KEYS[4:]
 
 
@@ -112,7 +101,7 @@ def test_every_key_is_there_every_null_has_its_reason_and_points_are_held_agains
         *("images", "by_image", "points", "mesh", "truth", "masks", "baselines"),
         *("time_s", "undetermined", "missing", "seed", "method", "definitions", "parameters", "reasons"),
     ]
-    assert list(metrics["definitions"]) == [metric.key for metric in all_metrics(YARDSTICK)]
+    assert list(metrics["definitions"]) == [metric.key for metric in METRICS]
     assert list(metrics["images"]) == ["test-17", "test-15"]
     assert list(metrics["points"]) == list(metrics["mesh"]) == ["visible", "whole"]
     leaves = {f"images.{name}.{key}": value for name, row in metrics["images"].items() for key, value in row.items()}

@@ -30,7 +30,6 @@ RADIANS = {
     "grazing in degrees": views(np.arange(0, 2 * math.pi, math.pi / 12), [15, 45]),
     "four decimals": views(np.round(np.radians([0, 10, 47, 98, 203, 359]), 4), [17]),
     "steps of 7.5": views(np.radians(np.arange(0, 360, 7.5)), [30]),
-    "steps of 15, three decimals": views(np.round(np.radians(np.arange(0, 360, 15)), 3), [30]),
     "against the sense of azimuths": views(-np.radians(np.arange(0, 360, 7.5)), [17]),
     "on both sides of the nose": views(np.radians(np.arange(-180, 180, 7.5)), [17]),
     "steps of 15, two decimals": views(np.round(np.radians(np.arange(0, 360, 15)), 2), [30]),

@@ -53,7 +53,6 @@ def test_what_are_no_places_are_refused(convert: Callable[[object], object], non
         lambda: Turn((0, 0, 1), True),
         lambda: Turn((0, 0, 1), 1.0, 0.0, np.True_),  # type: ignore[arg-type]
         lambda: Place(True, 2.0, 3.0),
-        lambda: PLACE.bearing_deg("a"),  # type: ignore[arg-type]
         lambda: ImageGrid(True, 8, (0.2, 0.2), (0.3, 0.3)),
         lambda: ImageGrid(8, 8, (True, 0.2), (0.3, 0.3)),
         lambda: ImageGrid(8, 8, (0.2, 0.2), (0.3, 0.3), (True, 0.0)),
@@ -63,8 +62,6 @@ def test_what_are_no_places_are_refused(convert: Callable[[object], object], non
         lambda: DatasetEntry(View(1.0, 30.0), "train", "a", True),
         lambda: ScatteringLaw(True),
         lambda: Encoding(crop=True),
-        lambda: Encoding(jpeg_quality="a"),  # type: ignore[arg-type]
-        lambda: TURN.check("a"),  # type: ignore[arg-type]
     ],
 )
 def test_true_and_false_are_no_numbers(made: Callable[[], object]) -> None:
@@ -107,7 +104,7 @@ REFUSED: Refusals = [
     (lambda _: RayGrid((0.0, 0.1)), r"ray spacing \(0.0, 0.1\) must be"),
     stack("wavelength_m is 0.0; give 0.0001 to 100 metres", wavelength_m=0.0),
     *(stack("offsets_rad is .*b/R in radians", offsets_rad=bad) for bad in ((), (0.0, 0.3), (0.0, math.nan))),
-    stack("transmit is 'both'; give one of each, one", transmit="both"),
+    stack("transmit is 'both'; give one of 'each', 'one'", transmit="both"),
     *(stack("noise is .*a positive power", noise=bad) for bad in ((0.1,), (0.1, 0.0), (0.1, math.nan))),
     *(stack("polarisations is .*one of HH, HV", polarisations=bad) for bad in (("HH",), ("HH", "XY"))),
     stack("two passes are the same", offsets_rad=(0.0, 0.0)),
@@ -132,7 +129,7 @@ REFUSED: Refusals = [
     view("only images of a target aloft can be stretched", 10, 20, stretch=1.1),
     *(view("stretch .* is not a number between 0.5 and 2", 10, 20, aloft=True, stretch=bad) for bad in (3.0, math.nan)),
     view("tilt 89.5 is not a number between -89 and 89", 10.0, 5.0, 89.5),
-    view("side 'up' is not one; give right or left", 10.0, 5.0, side="up"),
+    view("side is 'up'; give one of 'right', 'left'", 10.0, 5.0, side="up"),
 ]
 
 

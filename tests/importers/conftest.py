@@ -31,6 +31,14 @@ def schemas_are_read_once() -> Iterator[None]:
 
 
 @pytest.fixture
+def unexamined(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For tests of imports alone: no examination of their images."""
+    from sarsplat.examination.outcome import Examination
+
+    monkeypatch.setattr("sarsplat.examination.contradictions.examine", lambda dataset: Examination())
+
+
+@pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """For tests of messages of imports alone: an empty preview."""
     monkeypatch.setattr("sarsplat.report.check_sheet.check_sheet", lambda *_, **__: b"")

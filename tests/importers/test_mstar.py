@@ -15,6 +15,8 @@ from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.geometry.responses import Taylor
 from sarsplat.importers import import_mstar
 
+pytestmark = pytest.mark.usefixtures("unexamined")
+
 MEASURED = Path(__file__).resolve().parents[3] / "shared" / "data" / "mstar"
 needs_measured = pytest.mark.skipif(not MEASURED.is_dir(), reason="the measured MSTAR chips are not here")
 

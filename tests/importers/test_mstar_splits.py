@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tifffile
 from PIL import Image
 
 from chip_files import phoenix_bytes, write_chips
@@ -67,12 +68,9 @@ def phoenix(folder: Path, nested: bool = False) -> Path:
 def test_soc_takes_17_degrees_to_train_and_15_to_test_of_the_strict_vehicles(tmp_path: Path, kind: str) -> None:
     folder = jpegs(tmp_path / "chips") if kind == "jpeg" else phoenix(tmp_path / "chips", "folders" in kind)
     labels = folder / "labels.csv" if kind == "jpeg" else None
-    with pytest.warns(
-        SarsplatWarning, match=r"BMP2: left out 8 chips that the split soc has not \(4 of 9566 at 15°, 4 of"
-    ):
-        bmp2 = import_mstar(
-            folder, tmp_path / "bmp2", labels=labels, target_class="BMP2", train_views="all", split="soc"
-        )
+    options = {"labels": labels, "split": "soc"}
+    with pytest.warns(SarsplatWarning, match=r"BMP2: left out 8 chips that the split soc has not \(4 of 9566 at 15°"):
+        bmp2 = import_mstar(folder, tmp_path / "bmp2", target_class="BMP2", train_views="all", **options)
     assert bmp2.splits() == ("train", "test-15")
     assert [len(bmp2.images(name)) for name in bmp2.splits()] == [3, 4]
     train, test = bmp2.source["split"]["parts"]
@@ -82,7 +80,7 @@ def test_soc_takes_17_degrees_to_train_and_15_to_test_of_the_strict_vehicles(tmp
     assert said[1] == "test: BMP2 (9563) at 15°: 4 of 195 chips, 191 are missing"
     assert said[0].endswith("1 has no azimuth") == (kind == "jpeg")
     with pytest.warns(SarsplatWarning, match="4 of A64 at 30°"):
-        t72 = import_mstar(folder, tmp_path / "t72", labels=labels, target_class="T72", train_views=2, split="soc")
+        t72 = import_mstar(folder, tmp_path / "t72", target_class="T72", train_views=2, **options)
     assert [len(t72.images(name)) for name in ("train", "test-17", "test-15")] == [2, 2, 4]
 
 
@@ -95,9 +93,7 @@ def test_extended_conditions_test_on_other_vehicles(tmp_path: Path) -> None:
     with pytest.warns(SarsplatWarning, match="left out"):
         depression = import_mstar(folder, tmp_path / "b", target_class="T72", split="eoc-depression", **kept)
     assert depression.splits() == ("train", "test-30-a64")
-    with pytest.raises(
-        SarsplatError, match="the split eoc-depression has no class BMP2; it has 2S1, BRDM2, T72, ZSU234"
-    ):
+    with pytest.raises(SarsplatError, match="split eoc-depression has no class BMP2; it has 2S1, BRDM2, T72, ZSU234"):
         import_mstar(folder, tmp_path / "c", target_class="BMP2", split="eoc-depression", **kept)
 
 
@@ -140,23 +136,12 @@ def test_a_class_whose_training_chips_have_no_azimuth_is_refused(tmp_path: Path)
 
 def test_chips_without_azimuth_are_kept_on_the_scale_of_the_others(tmp_path: Path) -> None:
     folder = jpegs(tmp_path / "chips")
+    options = {"labels": folder / "labels.csv", "target_class": "BMP2", "train_views": "all", "split": "soc"}
+    planned = {"set": "train", "grazing_deg": 17.1, "serial": "9563", "depression_deg": 17}
     for mirrored in (False, True):
-        with pytest.warns(SarsplatWarning):
-            bmp2 = import_mstar(
-                folder, tmp_path / f"{mirrored}", labels=folder / "labels.csv", target_class="BMP2", train_views="all",
-                split="soc", mirrored=mirrored,
-            )  # fmt: skip
+        bmp2 = import_mstar(folder, tmp_path / f"{mirrored}", mirrored=mirrored, **options)
         (one,) = bmp2.source["unplaced"]
-        assert one == {
-            "name": "BMP2/chip011.jpeg",
-            "file": "unplaced/0000.tif",
-            "set": "train",
-            "grazing_deg": 17.1,
-            "serial": "9563",
-            "depression_deg": 17,
-        }
-        import tifffile
-
+        assert one == {"name": "BMP2/chip011.jpeg", "file": "unplaced/0000.tif", **planned}
         published = np.asarray(Image.open(folder / one["name"]), np.float32)
         turned = published[::-1, :] if mirrored else published[::-1, ::-1]
         power = tifffile.imread(bmp2.path / one["file"]) * bmp2.source["mean_power"]
@@ -167,22 +152,16 @@ def test_chips_without_azimuth_are_kept_on_the_scale_of_the_others(tmp_path: Pat
 def test_chips_without_azimuth_are_of_the_same_sets_as_others_of_their_vehicle(tmp_path: Path) -> None:
     folder = jpegs(tmp_path / "chips")
     table = folder / "labels.csv"
-    rows: list[list[str]] = []
-
-    def unplace(labels: list[list[str]]) -> list[list[str]]:
-        for row in labels:
-            hidden = row[2:4] == ["9566", "15"] and row[5].startswith("9")
-            rows.append([*row[:5], "" if hidden else row[5]])
-        return rows
-
-    rewrite(table, unplace)
+    with table.open(newline="") as file:
+        rows = [*csv.reader(file)]
+    hidden = [row[2:4] == ["9566", "15"] and row[5].startswith("9") for row in rows]
+    rows = [[*row[:5], "" if hide else row[5]] for row, hide in zip(rows, hidden, strict=True)]
+    rewrite(table, lambda _: rows)
     kept = {"labels": table, "target_class": "BMP2", "split": "eoc-version"}
     every = import_mstar(folder, tmp_path / "every", train_views="all", **kept)
     assert every.splits() == ("train", "test-17-9566", "test-15-9566")
-    assert [(one["set"], one["serial"]) for one in every.source["unplaced"]] == [
-        ("train", "9563"),
-        ("test-15-9566", "9566"),
-    ]
+    unplaced = [(one["set"], one["serial"]) for one in every.source["unplaced"]]
+    assert unplaced == [("train", "9563"), ("test-15-9566", "9566")]
     some = import_mstar(folder, tmp_path / "some", train_views=2, **kept)
     assert {one["set"] for one in some.source["unplaced"]} == {"test-17-9563", "test-15-9566"} <= {*some.splits()}
     write_measured_chips([tmp_path / "every"], tmp_path / "out", Encoding(format="png"))

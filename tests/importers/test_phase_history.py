@@ -172,18 +172,13 @@ def test_the_autofocus_is_applied(tmp_path):
     np.testing.assert_allclose(datasets[1].signal, datasets[0].signal, atol=1e-3 * np.abs(datasets[0].signal).max())
 
 
-def climbing(degrees: np.ndarray) -> np.ndarray:
-    """A flight that rises half as fast as it goes on."""
-    antenna = circle(degrees)
-    antenna[:, 2] += 0.5 * np.linalg.norm(antenna[0, :2]) * np.radians(degrees - degrees.mean())
-    return antenna
-
-
 @pytest.mark.parametrize("turn", [1, -1])
 def test_what_stands_up_is_where_a_tilted_view_says(tmp_path, turn):
     """Of a flight that climbs, or that dives when flown the other way; beside its place if the axis is level."""
-    point = np.array([0.4, -0.3, 0.7])
-    write(tmp_path / "a.mat", record(climbing(np.linspace(-1, 1, 60))[::turn], [tuple(point)]))
+    degrees, point = np.linspace(-1, 1, 60), np.array([0.4, -0.3, 0.7])
+    antenna = circle(degrees)
+    antenna[:, 2] += 0.5 * np.linalg.norm(antenna[0, :2]) * np.radians(degrees)  # half as fast as it goes on
+    write(tmp_path / "a.mat", record(antenna[::turn], [tuple(point)]))
     with pytest.warns(UserWarning, match=r"inclined, .* turned by up to 23\.\d° about the line of sight; .*tilted"):
         level = import_phase_history([tmp_path / "a.mat"], tmp_path / "level", size_m=3, spacing_m=0.04)
     with warnings.catch_warnings():
@@ -201,7 +196,6 @@ def test_what_stands_up_is_where_a_tilted_view_says(tmp_path, turn):
     assert off[0] > 0.25
     assert off[1] < 0.01
     # the plane that the pulses span holds the azimuth axis
-    antenna = read_gotcha(tmp_path / "a.mat").antenna_m
     across = antenna[-1] - antenna[0]
     assert abs(radar_frame(view)[1] @ across) < 1e-3 * np.linalg.norm(across)
     if turn == 1:  # sharper, for the way across is longer

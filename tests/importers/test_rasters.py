@@ -30,9 +30,8 @@ def envi_big(path: Path, pixels: np.ndarray) -> None:
 
 def by_gdal(path: Path, pixels: np.ndarray, driver: str, **options: object) -> None:
     rows, columns = pixels.shape
-    with rasterio.open(
-        path, "w", driver=driver, height=rows, width=columns, count=1, dtype=pixels.dtype, **options
-    ) as file:
+    options |= {"driver": driver, "height": rows, "width": columns, "count": 1, "dtype": pixels.dtype}
+    with rasterio.open(path, "w", **options) as file:
         file.write(pixels, 1)
 
 
@@ -65,9 +64,8 @@ def test_any_raster_is_a_picture(tmp_path, name, driver, pixels, options):
 
 
 def test_rasters_that_point_elsewhere_are_refused(tmp_path):
-    (tmp_path / "a.vrt").write_text(
-        '<VRTDataset rasterXSize="2" rasterYSize="2"><VRTRasterBand dataType="Float32" band="1"/></VRTDataset>'
-    )
+    band = '<VRTRasterBand dataType="Float32" band="1"/>'
+    (tmp_path / "a.vrt").write_text(f'<VRTDataset rasterXSize="2" rasterYSize="2">{band}</VRTDataset>')
     (tmp_path / "angles.csv").write_text("file,azimuth,grazing\na.vrt,0,30\n")
     with pytest.raises(SarsplatError, match=r"a\.vrt is not a readable raster"):
         import_pictures(tmp_path)

@@ -51,7 +51,10 @@ from sarsplat.importers import import_phase_history, import_rslc, import_sicd, i
 from sarsplat.runs import Run
 from sicds import SPOT, Recording, Track, write_sicd
 
-NOT_RUN = {"which way the table counts azimuths decides": "a note, which names no remedy"}
+NOT_RUN = {
+    "which way the table counts azimuths decides": "a note, which names no remedy",
+    "give a larger `pixel_m`, such as": "needs a lack of memory; followed in the tests of exports",
+}
 """Words of sentences with an argument whose remedy is not followed here, and why."""
 _ARGUMENT = re.compile(r"`[a-z_]+(=[^`]*)?`|`[a-z_]+=|\w=(True|False|None|'\w+')")
 
@@ -306,7 +309,6 @@ def test_remedies_work_when_followed(tmp_path: Path, monkeypatch: pytest.MonkeyP
         (partial(export, some, tmp_path / "dsm-1.tif"), "is ambiguous", {}, {"content": "dsm"}),
         (partial(exported, "a.las"), "no georeference", {"crs": "EPSG:32633"}, {"terrain": hills}),
         (partial(exported, "a.tif"), "finer than the points", {"pixel_m": 0.001}, SUGGESTED),
-        (partial(exported, "layover-shadow.tif", view=View(0.0, 1e-3)), "is too large", {"pixel_m": 1.0}, SUGGESTED),
         *(
             (partial(MapSystem.of, where), words, {"crs": crs}, {"crs": right})
             for where, words, crs, right in (

@@ -161,15 +161,10 @@ def test_a_grid_that_does_not_tell_the_place_leaves_it_out(tmp_path, changed):
 def test_a_coarse_grid_may_fall(tmp_path):
     """Heights from above, and the values with them."""
     west = np.cos(np.radians([[[60.0, 50.0]], [[62.0, 52.0]]])) * np.ones((2, 2, 1))
-    seen = [
-        imported(
-            tmp_path,
-            changed={"Grid/heightAboveEllipsoid": np.array([-500.0, 500.0])[::step], "losUnitVectorX": -west[::step]},
-            height_m=200.0,
-        ).views[0]
-        for step in (1, -1)
-    ]
-    assert seen[0] == seen[1]
+    grid = {"Grid/heightAboveEllipsoid": np.array([-500.0, 500.0]), "losUnitVectorX": -west}
+    falling = {name: values[::-1] for name, values in grid.items()}
+    rising, turned = (imported(tmp_path, changed=one, height_m=200.0) for one in (grid, falling))
+    assert rising.views == turned.views
 
 
 def test_images_that_were_never_written_are_named(tmp_path):
@@ -196,7 +191,6 @@ def test_images_of_a_left_looking_radar_are_laid_out_as_those_of_a_right_looking
         ({"lookDirection": np.bytes_("up")}, {}, "says that its radar looks 'up', not left or right"),
         ({"frequencyA/slantRange": RANGES[::-1]}, {}, "numbers that do not rise as .*slantRange"),
         ({"Grid/heightAboveEllipsoid": np.array([0.0, 9.0, 3.0])}, {}, "neither rise nor fall as .*heightAbove"),
-        ({"frequencyA/HH": np.zeros((0, 30), complex)}, {}, "no pixels of HH, HV, VH, VV in .*; it describes images"),
         ({f"A/{name}": None for name in QUAD}, {}, "no images in .*frequencyA; it describes images without holding"),
         ({"frequencyA/slantRange": RANGES[:-1]}, {}, "40 azimuth times, 29 slant ranges for .40, 30"),
         ({"losUnitVectorX": np.full((2, 2, 2), 2.0)}, {}, "impossible radar direction 2"),

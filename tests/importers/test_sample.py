@@ -44,9 +44,8 @@ def test_images_angles_and_lengths(folder, tmp_path):
 
 @pytest.mark.filterwarnings("ignore:.*leave a gap")
 def test_synthetic_images_training_views_and_other_orientations(folder, tmp_path):
-    made = import_sample(
-        folder / "mat_files", tmp_path / "out", target="t72", kind="synthetic", near="top", mirrored=True, train_views=3
-    )
+    options = {"target": "t72", "kind": "synthetic", "near": "top", "mirrored": True, "train_views": 3}
+    made = import_sample(folder / "mat_files", tmp_path / "out", **options)
     scale = made.source["mean_power"] ** 0.5
     order = [0, 2, 4, 1, 3]  # the ends and the middle of what the azimuths cover, then the rest
     np.testing.assert_allclose(made.signal * np.float32(scale), 3 * IMAGES[order][:, :, ::-1], rtol=1e-5)

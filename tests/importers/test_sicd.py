@@ -16,7 +16,7 @@ pytest.importorskip("sarkit")
 import lxml.etree
 
 from fuzz import watched
-from sarsplat import preset, reconstruct, render
+from pulses import peak_beside
 from sarsplat.cli import main
 from sarsplat.data import Dataset, read_dataset
 from sarsplat.errors import SarsplatError, SarsplatWarning
@@ -55,27 +55,9 @@ def imported(folder: Path, track: Track, recording: Recording, places=PLACES, **
 
 def misses(dataset: Dataset, places=PLACES) -> np.ndarray:
     """How far the brightest pixels are from where the radar frame has the places, in widths of the response."""
-    grid, [entry] = dataset.grid, dataset.entries
-    spectrum = np.fft.fft2(dataset.signal[0])
-    cycles = [np.fft.fftfreq(size) for size in (grid.rows, grid.columns)]  # for each pixel
-    within = np.arange(-32, 32) / 16  # pixels
-    found = []
-    for place in places:
-        azimuth, _, away = radar_frame(entry.view) @ place
-        row, column = (away - grid.range_m[0]) / grid.spacing_m[1], (azimuth - grid.azimuth_m[0]) / grid.spacing_m[0]
-        down, across = (np.exp(2j * np.pi * np.outer(at + within, one)) for at, one in zip((row, column), cycles))
-        fine = np.abs(down @ spectrum @ across.T)
-        peak = np.unravel_index(fine.argmax(), fine.shape)
-        vertical, horizontal = _vertex(fine[:, peak[1]], peak[0]), _vertex(fine[peak[0]], peak[1])
-        off = (np.array([horizontal, vertical]) / 16 - 2) * grid.spacing_m
-        found.append(off / grid.resolution_m)
-    return np.array(found)
-
-
-def _vertex(line: np.ndarray, place: int) -> float:
-    """Of the parabola through a maximum and its neighbours."""
-    before, here, after = line[place - 1 : place + 2]
-    return place + (before - after) / (2 * (before - 2 * here + after))
+    seen = np.array(places) @ radar_frame(dataset.views[0])[[0, 2]].T
+    found = [peak_beside(dataset.signal[0], dataset.grid, azimuth, away)[0] for azimuth, away in seen]
+    return np.array(found) / dataset.grid.resolution_m
 
 
 @pytest.mark.parametrize("other", [False, True])
@@ -151,10 +133,8 @@ def test_resampling_keeps_amplitude_and_phase(tmp_path, doppler, sign):
         off = grid_of(ecef(ground[index])) - centre
         lines = []
         for axis in (0, 1):
-            band, phase = (
-                recording.bandwidth[axis] * off[axis],
-                -sign * 2j * np.pi * recording.doppler[axis] * off[axis],
-            )
+            band = recording.bandwidth[axis] * off[axis]
+            phase = -sign * 2j * np.pi * recording.doppler[axis] * off[axis]
             lines.append((np.sinc(band) + 0.3 * (np.sinc(band + 1) + np.sinc(band - 1))) * np.exp(phase))
         expected[index] = np.prod(lines)
     expected *= np.exp(sign * 4j * np.pi * FREQUENCY / LIGHT * centre[0])
@@ -254,9 +234,8 @@ def test_every_calibration_becomes_beta0(tmp_path, track):
     """By angles that the file states: σ⁰ = β⁰ cos(slope) = γ⁰ sin(grazing); RCS is β⁰ times the response's area."""
     expected = imported(tmp_path, track, Recording(calibration=BETA))
     angles = lxml.etree.fromstring(xml_of((tmp_path / "image.nitf").read_bytes()))
-    slope, grazing = (
-        math.radians(float(angles.findtext(f"{{*}}SCPCOA/{{*}}{one}"))) for one in ("SlopeAng", "GrazeAng")
-    )
+    stated = (angles.findtext(f"{{*}}SCPCOA/{{*}}{one}") for one in ("SlopeAng", "GrazeAng"))
+    slope, grazing = (math.radians(float(text)) for text in stated)
     sigma = 2.0 * math.cos(slope)
     factors = {"SigmaZero": sigma, "GammaZero": sigma / math.sin(grazing), "RCS": 2.0 / (1.5 * 1.4)}
     for name, factor in factors.items():
@@ -264,7 +243,7 @@ def test_every_calibration_becomes_beta0(tmp_path, track):
         assert made.calibration == "absolute"
         assert made.signal == pytest.approx(expected.signal, rel=2e-4, abs=1e-5), name
     with pytest.warns(
-        SarsplatWarning, match="by BetaZeroSFPoly of image.nitf, which is used, differs from SigmaZeroSFPoly by 3.0 dB$"
+        SarsplatWarning, match="BetaZeroSFPoly of image.nitf, .* differs from SigmaZeroSFPoly by 3.0 dB$"
     ):
         imported(tmp_path, track, Recording(calibration=(*BETA, ("SigmaZero", 2 * sigma), ("RCS", factors["RCS"]))))
 
@@ -285,26 +264,18 @@ def test_the_response_is_that_of_the_weighting(tmp_path, recording, response):
 
 
 def test_a_stack_is_on_one_grid_with_headings_and_sets(tmp_path):
+    recordings = {0: Recording(), 90: Recording(turn=12), 180: Recording(bandwidth=(1.4, 1.5)), 270: Recording()}
     files = [
         write_sicd(tmp_path / f"{bearing}.nitf", Track(bearing, 30.0, "RL"[bearing // 90 % 2]), PLACES, recording)
-        for bearing, recording in zip(
-            (0, 90, 180, 270),
-            (Recording(), Recording(turn=12), Recording(bandwidth=(1.4, 1.5)), Recording()),
-            strict=True,
-        )
+        for bearing, recording in recordings.items()
     ]
     dataset = import_sicd(files, tmp_path / "set", size_m=SIZE, around=SPOT, heading_deg=0.0, train_views=2)
     assert dataset.splits() == ("train", "test")
     assert [round(view.azimuth_deg) % 360 for view in dataset.views] == [0, 180, 90, 270]
     assert dataset.signal is not None and read_dataset(tmp_path / "set").signal is not None
+    turned = [(north, -east, up) for east, north, up in PLACES]  # x points north
     for index, entry in enumerate(dataset.entries):
-        there = np.abs(misses(dataset.take([index]), _turned(PLACES)))
-        assert there.max() < 0.05, entry.name
-
-
-def _turned(places) -> list[tuple[float, float, float]]:
-    """East, north and up as x, y and z of a world whose x axis points north."""
-    return [(north, -east, up) for east, north, up in places]
+        assert np.abs(misses(dataset.take([index]), turned)).max() < 0.05, entry.name
 
 
 def test_the_spot_may_be_a_pixel_or_the_centre(tmp_path):
@@ -360,36 +331,6 @@ def test_the_command_says_what_it_assumed(tmp_path, capsys):
     assert re.search(r"3 views of 4[78]\.?\d* m × 4[78]\.?\d* m, largest gap 120°, ready", said)
     assert "next: " in said and "reconstruct" in said
     assert read_dataset(tmp_path / "set").target == "sphere"
-
-
-@pytest.mark.slow
-def test_reconstructed_gaussians_are_where_the_scatterers_were(tmp_path):
-    """From both looks, slant planes and turned ones, two grazing angles: in azimuth and range as each view sees them.
-
-    A point becomes a cloud, of which a radar sees the near side: its range is right if the centre is a little too low.
-    """
-    places = [(0.0, 0.0, 0.5), (6.0, -4.0, 2.0), (-7.0, 5.0, 3.5), (3.0, 8.0, 1.0)]
-    files = [
-        write_sicd(
-            tmp_path / f"{number}.nitf",
-            Track(30.0 * number, (30.0, 50.0)[number % 2], "RL"[number // 2 % 2]),
-            places,
-            Recording(160, 160, window="TAYLOR", turn=(0.0, 25.0, -40.0)[number % 3], offset=(1.0, 2.0, 0.0)),
-        )
-        for number in range(12)
-    ]
-    dataset = import_sicd(files, tmp_path / "set", size_m=24.0, around=SPOT, looks=None, ground=False)
-    gaussians = reconstruct(dataset, preset("quick"), quiet=True).gaussians
-    sections = render(gaussians, dataset.views, dataset.grid).cross_sections[..., 0].numpy()
-    means, cell = gaussians.means.numpy(), dataset.grid.cell_m
-    for place in places:
-        (around,) = np.nonzero(np.linalg.norm(means - place, axis=1) < 2 * cell)
-        assert np.abs(np.median(means[around] - place, axis=0) / cell).max() < 0.25  # the near side of a cloud is seen
-        seen = [
-            np.average(means[around] - place, axis=0, weights=section) @ radar_frame(view)[[0, 2]].T
-            for section, view in zip(sections[:, around], dataset.views, strict=True)
-        ]
-        assert np.sqrt(np.square(seen).mean(axis=0)).max() < 0.1 * cell
 
 
 def test_a_file_whose_projection_leads_elsewhere_is_said(tmp_path, capsys):

@@ -102,8 +102,10 @@ def test_polarisations_of_one_pass(tmp_path):
 
 
 def test_other_polarisations_of_views_are_said(tmp_path):
-    files = [write_pass(tmp_path / f"{k}.nitf", Track(90.0 * k), replace(SMALL, polarisation=name))
-             for k, name in enumerate(("V:V", "H:V"))]  # fmt: skip
+    files = [
+        write_pass(tmp_path / f"{k}.nitf", Track(90.0 * k), replace(SMALL, polarisation=name))
+        for k, name in enumerate(("V:V", "H:V"))
+    ]
     with pytest.warns(SarsplatWarning, match="polarisations differ"):
         made = imported(tmp_path, files, stack=False, size_m=20.0)
     assert any("polarisations differ (H:V, V:V), but are taken" in text for text in made.source["assumptions"])

@@ -97,9 +97,8 @@ def test_columns_that_are_not_needed_block_no_table(tmp_path, names, look):
 def test_units_in_names_of_columns_are_converted(tmp_path, names, turn, length):
     """Azimuths 0° to 270°, 30° above the horizon, with pixels of 10 cm."""
     grazing = 30 if "grazing_deg" in names else 30 / turn
-    folder = pictures(
-        tmp_path, [f"{k}.npy,{azimuth / turn},{grazing},{length}" for k, azimuth in enumerate(ANGLES)], names
-    )
+    cells = [f"{k}.npy,{azimuth / turn},{grazing},{length}" for k, azimuth in enumerate(ANGLES)]
+    folder = pictures(tmp_path, cells, names)
     made = import_pictures(folder, spacing_m=None, resolution_m=None)
     assert [view.azimuth_deg for view in made.views] == pytest.approx(ANGLES)
     assert made.views[0].grazing_deg == pytest.approx(30)

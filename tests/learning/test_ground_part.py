@@ -28,7 +28,7 @@ from sarsplat.settings.sections import Bounce, FlatGround
 from sarsplat.viewer.subject import training_subject
 
 GRID = ImageGrid(48, 48, (0.3, 0.3), (0.3, 0.3))
-SHORT = replace(preset("default"), iterations=150, gaussians=150, ground=FlatGround())
+SHORT = replace(preset("default"), iterations=100, gaussians=150, ground=FlatGround())
 
 
 UNEVEN = [View(60.0 * k, (25.0, 40.0, 60.0)[k % 3]) for k in range(6)]
@@ -51,7 +51,7 @@ def seen(views: list[View], ground: Ground) -> Dataset:
 
 def test_level_and_law_are_learned() -> None:
     dataset = seen(UNEVEN, Ground(torch.tensor(0.2), exponent=torch.tensor(0.8)))
-    trainer = trained(dataset, SHORT, 150)
+    trainer = trained(dataset, replace(SHORT, iterations=150), 150)
     ground = trainer.model.ground()
     assert float(ground.exponent.detach()) == pytest.approx(0.8, abs=0.1)
     assert float(ground.gamma0.detach().median()) == pytest.approx(0.2, rel=0.05)
@@ -83,7 +83,7 @@ def test_texture_is_learned_where_it_is() -> None:
     """Twice as bright where y > 0."""
     table = torch.full((41, 41), 0.1)
     table[21:] = 0.2
-    trainer = trained(seen(LEVEL, Ground(table, 0.5)), SHORT, 150)
+    trainer = trained(seen(LEVEL, Ground(table, 0.5)), SHORT, 100)
     assert trainer.learning_rates["ground_exponent"] == 0  # one angle says nothing of others
     ground = trainer.model.ground()
     gamma0, middle = ground.gamma0.detach(), (len(ground.gamma0) - 1) // 2

@@ -159,7 +159,7 @@ def test_those_that_look_wrong_have_the_error(scene: Dataset, coarse: Config) ->
 
 
 # ---- a scene that is larger or smaller in every length is learned alike ----------------------------------------------
-SHORT = {"iterations": 30, "gaussians": 600, "harmonics_every": 10, "views_per_step": 4}
+SHORT = {"iterations": 20, "gaussians": 600, "harmonics_every": 10, "views_per_step": 4}
 DENSITY = Densification(start=5, every=10, gradient=3e-5, max_gaussians=900)
 DEFAULT = replace(preset("default"), **SHORT, rates=Rates(means=0.067))  # of longer steps rounding decides more
 
@@ -180,7 +180,7 @@ def times(dataset: Dataset, factor: float, config: Config) -> Dataset:
         (DEFAULT, 10.0),
         (DEFAULT, 1 / 15),
         (replace(preset("paper"), **SHORT, densification=DENSITY), 1 / 15),
-        (replace(preset("measured"), **SHORT), 10.0),
+        (replace(preset("measured"), **SHORT | {"iterations": 30}), 10.0),  # shifts agree less after 20
     ],
     ids=["default-larger", "default-smaller", "paper-smaller", "measured-larger"],
 )

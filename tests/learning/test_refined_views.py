@@ -36,7 +36,7 @@ pytest.importorskip("embreex")
 
 GRID = ImageGrid(44, 44, (0.25, 0.25), (0.3, 0.3))
 STD_DEG = 3.0
-SHORT = {"iterations": 50, "gaussians": 500, "harmonics_every": 20, "checkpoint_every": 26}
+SHORT = {"iterations": 40, "gaussians": 500, "harmonics_every": 16, "checkpoint_every": 21}
 CONFIG = replace(preset("measured"), **SHORT, points=FEW_POINTS)
 AROUND = np.arange(0, 360, 20)
 

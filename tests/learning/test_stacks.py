@@ -3,7 +3,7 @@
 import re
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,7 @@ def block(height: float) -> trimesh.Trimesh:
     return trimesh.creation.box((4.0, 6.0, height)).apply_translation((0.0, 0.0, height / 2))
 
 
+@cache
 def dataset(noise: bool = True, views: tuple[View, ...] = (VIEW,)) -> Dataset:
     stack = Stack(0.031, OFFSETS, noise=(NOISE,) * len(OFFSETS))
     signals = [

@@ -21,6 +21,7 @@ from sarsplat.learning.strategies.azimuths import AzimuthRefinement
 from sarsplat.learning.strategies.density import DensityControl
 from sarsplat.learning.strategies.growth import Relocating, pairs
 from sarsplat.learning.strategies.smoothing import Smoothed
+from sarsplat.learning.strategies.strategy import Params
 from sarsplat.learning.strategies.texture import TextureEstimation
 from sarsplat.learning.strategies.turns import TurnRefinement
 from sarsplat.settings.sections import Densification, Relocation, Smoothing, Surroundings, Turns
@@ -38,22 +39,18 @@ CONFIG = replace(
 class Restless(Strategy):
     """Removes what has been dim for long, and now and then makes two of the brightest."""
 
-    def initial_state(self, params: dict[str, Tensor]) -> State:
+    def initial_state(self, params: Params) -> State:
         count = len(params["means"])
         return State(rows={"dim": torch.zeros(count)}, whole={"changes": torch.zeros(2, dtype=torch.int64)})
 
     def wants_plane_gradients(self, step: int) -> bool:
         return step % 2 == 0
 
-    def step_pre_backward(
-        self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
-    ) -> None:
+    def step_pre_backward(self, params: Params, optimizers: Optimiser, state: State, step: int, info: Info) -> None:
         assert (info.rendering.plane_gradients is not None) == (step % 2 == 0 or step <= CONFIG.densification.stop)
         assert params["means"].grad is None
 
-    def step_post_backward(
-        self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
-    ) -> None:
+    def step_post_backward(self, params: Params, optimizers: Optimiser, state: State, step: int, info: Info) -> None:
         sigma = info.rendering.cross_sections[..., 0].mean(0)
         state.rows["dim"] += (sigma < sigma.median()).float()
         if step % 7 == 0:
@@ -94,7 +91,7 @@ def test_names_are_their_own_and_parameters_are_checked(dataset: Dataset) -> Non
     class Choosy(Restless):
         name = "choosy"
 
-        def check(self, params: dict[str, Tensor]) -> None:
+        def check(self, params: Params) -> None:
             raise SarsplatError("there is no colour; give one")
 
     with pytest.raises(SarsplatError, match="2 strategies are called 'Restless'; give each"):
@@ -110,7 +107,7 @@ def test_the_example_keeps_few_gaussians(dataset: Dataset) -> None:
 
 
 # ---- rows of any dictionary of parameters ---------------------------------------------------------------------------
-def begun() -> tuple[dict[str, Tensor], Optimiser, State]:
+def begun() -> tuple[Params, Optimiser, State]:
     """Three Gaussians with a colour, and what has none of theirs, after a step."""
     generator = torch.Generator().manual_seed(0)
     shapes = {"means": (3, 3), "quaternions": (3, 4), "scales": (3, 3), "optical_depth": (3,), "colour": (3, 2)}

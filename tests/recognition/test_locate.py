@@ -143,7 +143,7 @@ def numbers(located: Located) -> list[dict[str, str]]:
 def test_neither_order_nor_threads_change_a_bit(
     runs: dict[str, Run], images: list[Dataset], located: Located, threads: Callable[[int], None]
 ) -> None:
-    threads(3)
+    threads(2)
     other = locate([*runs.values()][::-1], [images[2], images[0].take([*range(7, -1, -1)]), images[1]], **QUICK)
     assert numbers(other) == numbers(located)
     np.testing.assert_array_equal(other.nats[:8], located.nats[16:])

@@ -62,9 +62,8 @@ ARGUMENTS: list[tuple[tuple[str, ...], dict[str, object], str]] = [
     (PLAIN, {"amplitudes": torch.ones(2, 10, 1)}, r"\(2, 10, 1\); .* it must be \(3, 10, C\)"),
     (PLAIN, {"shift": torch.ones(3)}, r"shift has shape \(3,\); .* it must be \(3, 2\)"),
     (PLAIN, {"gain": torch.ones(1)}, r"gain has shape \(1,\); .* it must be \(3,\)"),
-    (PLAIN, {"imaging_weight": "round"}, "choose one of area, peak"),
-    (PLAIN, {"first_return_depth": 0.0}, "positive two-way"),
-    (PLAIN, {"first_return_depth": NAN}, "positive two-way"),
+    (PLAIN, {"imaging_weight": "round"}, "give one of 'area', 'peak'"),
+    *((PLAIN, {"first_return_depth": bad}, "first_return_depth is .*; give a number above 0") for bad in (0.0, NAN)),
     (PLAIN, {"amplitudes": torch.ones(3, 10, 1).to(torch.complex64)}, r"complex64.* sarsplat.splat"),
     (("gpu",), {}, "choose one of auto, cpu, cpu-base, cpu-avx2, cpu-avx512, cuda, reference"),
     (AUTO, {"views": []}, "there are no views"),
@@ -171,7 +170,8 @@ def test_the_reference_takes_them():
 
 
 # ---- values in any argument: refused by name, or proven harmless -----------------------------------------------------
-ENGINES = [f"cpu-{name}" for name in cpu.instruction_sets()] + ["reference"]
+AVAILABLE = cpu.instruction_sets()
+ENGINES = [*dict.fromkeys(f"cpu-{AVAILABLE[k]}" for k in (0, -1)), "reference"]
 TINY, MIN_NORMAL, LARGEST = 1e-45, 1.1754944e-38, 3.4028234e38
 
 

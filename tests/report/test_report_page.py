@@ -71,9 +71,8 @@ def test_every_picture_has_words_units_and_a_scale(page: Path) -> None:
     of_images = text.count("azimuth, m</span>")
     assert of_images == 3 * 5 + 3  # five views and the widget
     assert text.count('class="radar') == of_images
-    assert (
-        text.count('class="scale') == of_images + 3 * 3 + 2 * 3 + 1
-    )  # points thrice, meshes twice, the widget's cloud
+    of_surfaces = 3 * 3 + 2 * 3 + 1  # points thrice, meshes twice, the widget's cloud
+    assert text.count('class="scale') == of_images + of_surfaces
     for bar in re.findall(r'<div class="bar-label">([^<]*)</div>', text):
         assert re.search(r", (dB|m)\b", bar), bar
 
@@ -131,13 +130,13 @@ def test_best_median_and_worst_views_come_first(tmp_path: Path) -> None:
 def test_outlines_are_drawn_if_masks_were_given(tmp_path: Path, kinds: int) -> None:
     from PIL import Image
 
-    mask = np.zeros((32, 32), np.uint8)
+    mask, folder = np.zeros((32, 32), np.uint8), tmp_path / "masks"
     mask[12:20, 10:22] = min(kinds, 1)
     mask[20:28, 10:22] = kinds
+    folder.mkdir()
     for index in range(2, 7):
-        (tmp_path / "masks").mkdir(exist_ok=True)
-        Image.fromarray(mask).save(tmp_path / "masks" / f"{index:03d}.png")
-    metrics = {**make_metrics(psnr_db=50.0, target_iou=0.875), "masks": str(tmp_path / "masks")}
+        Image.fromarray(mask).save(folder / f"{index:03d}.png")
+    metrics = {**make_metrics(psnr_db=50.0, target_iou=0.875), "masks": str(folder)}
     masks = lambda views: np.stack([mask] * len(views))  # noqa: E731
     page = write_report(make_run(tmp_path, make_dataset(tmp_path, measured=True), metrics, masks=masks))
     text = words_of(page)
@@ -159,10 +158,11 @@ def test_few_views_no_points_no_history_no_scores(tmp_path: Path, tests: int) ->
 def test_corrections_of_azimuths_are_drawn_where_there_are_any(tmp_path: Path) -> None:
     dataset = make_dataset(tmp_path, measured=True, mesh=False)
     dataset = replace(dataset, entries=tuple(replace(entry, azimuth_std_deg=1.5) for entry in dataset.entries))
-    text = words_of(write_report(make_run(tmp_path, dataset, None, azimuth_offset_deg=np.array([-1.0, 1.0]))))
+    run = make_run(tmp_path, dataset, None)
+    assert "Azimuth corrections" not in words_of(write_report(run))
+    run.azimuth_offset_deg = np.array([-1.0, 1.0])
+    text = words_of(write_report(run))
     assert "Azimuth corrections" in text and "rms 1.00°, largest 1.00°" in text
-    (tmp_path / "known").mkdir()
-    assert "Azimuth corrections" not in words_of(write_report(make_run(tmp_path / "known", dataset, None)))
 
 
 def test_of_many_gaussians_fewer_directions_are_rendered(tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ from sarsplat.report.curves import curves_figure
 from sarsplat.report.figure import axis, nice, scale_bar
 from sarsplat.report.images import Difference, target_window, window
 from sarsplat.report.layover import Slice, brightest_layover
-from sarsplat.report.rendered import Rendered, frame, require_distinct
+from sarsplat.report.rendered import Rendered, frame
 from sarsplat.report.stacks import Interferogram, Pair, averaged, covariances
 from sarsplat.report.views import evenly
 from sarsplat.runs.run_folder import LogLine
@@ -135,7 +135,6 @@ def test_views_from_one_direction_are_told_apart(tmp_path: Path) -> None:
     """In the names of files, in what files say, on sheets, and in animations, all frames of which are as high."""
     grid, look = ImageGrid(24, 24, spacing_m=(0.3, 0.3), resolution_m=(0.3, 0.3)), Look(1.0)
     images = np.full((len(TURNED), 24, 24), 0.1, np.float32)
-    require_distinct(TURNED)
     Rendered(images, TURNED, grid, look).write(tmp_path / "all", seconds=1, overwrite=False)
     names = sorted(path.stem for path in (tmp_path / "all").glob("*.tif"))
     assert len(names) == len(TURNED)
@@ -143,11 +142,8 @@ def test_views_from_one_direction_are_told_apart(tmp_path: Path) -> None:
     assert {"az020_gr30_left", "az020_gr30_tilt7.5"} < set(names)
     with tifffile.TiffFile(tmp_path / "all" / "az020_gr30_tilt-7.5_left.tif") as file:
         assert "grazing 30 deg, tilted by -7.5 deg, looking left" in file.pages.first.description
-    heights = [
-        [Image.open(io.BytesIO(png)).height for png in (contact_sheet(images[:1], [view], grid, look),)]
-        for view in (TURNED[0], TURNED[1], TURNED[3])
-    ]
-    assert heights == sorted(heights)
+    sheets = [contact_sheet(images[:1], [TURNED[k]], grid, look) for k in (0, 1, 3)]
+    heights = [Image.open(io.BytesIO(png)).height for png in sheets]
     assert heights[0] < heights[1] < heights[2]  # a line for each
     told = [frame(images[0], view, grid, look, unusual=True) for view in TURNED]
     assert len({one.shape for one in told}) == 1
@@ -159,15 +155,13 @@ def test_views_from_one_direction_are_told_apart(tmp_path: Path) -> None:
         assert animation.height == len(told[0]) == len(frame(images[0], TURNED[0], grid, look)) + 20
 
 
-@pytest.mark.parametrize("spacing_m", [0.01, 0.3, 4.0])
+@pytest.mark.parametrize("spacing_m", [0.01, 4.0])
 def test_sheets_have_a_scale_bar_as_long_as_it_says(spacing_m: float) -> None:
     grid = ImageGrid(32, 48, spacing_m=(spacing_m, spacing_m), resolution_m=(spacing_m, spacing_m))
     dark = dataset_of(grid, [(View(20.0, 30.0), "train")], np.full((1, 32, 48), 1e-9, np.float32))
     dark.power[0, [2, 27, 16, 16], [24, 24, 0, 47]] = 1.0  # more than 0.1 %, and as far apart as the image is wide
-    sheets = [contact_sheet(dark.power, dark.views, grid, Look(1.0))]
-    sheets.append(check_sheet(dark))
     share, _ = scale_bar(48 * spacing_m)
-    for png in sheets:
+    for png in (contact_sheet(dark.power, dark.views, grid, Look(1.0)), check_sheet(dark)):
         sheet = np.asarray(Image.open(io.BytesIO(png)).convert("RGB"), int)
         black = (sheet == 0).all(axis=2)
         rows = np.flatnonzero(black.sum(axis=1) > 0.4 * black.sum(axis=1).max())

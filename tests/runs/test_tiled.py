@@ -43,7 +43,7 @@ def dataset() -> Dataset:
 
 @pytest.fixture(scope="module")
 def config() -> Config:
-    return replace(preset("quick"), iterations=24, gaussians=600, tiles=2, checkpoint_every=12, points=FEW_POINTS)
+    return replace(preset("quick"), iterations=24, gaussians=400, tiles=2, checkpoint_every=12, points=FEW_POINTS)
 
 
 @pytest.fixture(scope="module")

@@ -137,12 +137,6 @@ def test_other_rays_and_a_finer_histogram_change_nothing(t72, view, settings, le
     assert -10 * math.log10(np.mean((other - usual) ** 2) / usual.max() ** 2) >= least_db
 
 
-def test_large_scenes_are_cut_to_the_swath_and_batched():
-    grid = ImageGrid(16, 16, (0.3, 0.3), (0.3, 0.3))
-    image = simulate_raycast(box((-200, 200), (-200, 200), (-1, 0)), View(0, 45), grid, CONSTANT, ray_spacing=0.08)
-    np.testing.assert_allclose(image, 1.0, rtol=1e-3)
-
-
 # ---- rays as sparse as flat surfaces allow ---------------------------------------------------------------------------
 def test_flat_surfaces_need_few_rays_however_they_are_divided(monkeypatch):
     """A house in few faces or in many takes the same few rays, and has the image of a dense lattice of them."""
@@ -184,7 +178,7 @@ def test_what_is_thinner_than_a_square_of_rays_is_not_missed():
     for thin in (wire, smooth):
         both = trimesh.util.concatenate([wall, thin])
         for mesh in (thin, both):
-            usual, fine = (simulate_raycast(mesh, View(0, 30), GRID, law, ray_spacing=d) for d in (0.02, 0.005))
+            usual, fine = (simulate_raycast(mesh, View(0, 30), GRID, law, ray_spacing=d) for d in (0.02, 0.007))
             assert usual.sum() == pytest.approx(fine.sum(), rel=0.02)
 
 
@@ -206,9 +200,10 @@ def test_patches_are_connected_flat_and_of_one_reflectivity():
 
 def test_a_mesh_far_larger_than_the_image_costs_no_more(monkeypatch):
     """Rays stand only where they can meet the image."""
-    rows = []
-    monkeypatch.setattr(raycast, "sparse_hits", lambda *a, **_: rows.append(a[3]) or iter(()))
-    simulate_raycast(box((-500, 500), (-500, 500), (-1, 3)), View(0, 30), GRID, CONSTANT)
+    rows, hits = [], raycast.sparse_hits
+    monkeypatch.setattr(raycast, "sparse_hits", lambda *a: rows.append(a[3]) or hits(*a))
+    image = simulate_raycast(box((-500, 500), (-500, 500), (-1, 3)), View(0, 30), GRID, CONSTANT)
+    np.testing.assert_allclose(image, math.tan(math.radians(30)), rtol=1e-3)
     (region,) = rows
     assert region.x[1] - region.x[0] < 64 * 0.3 + 3
     assert region.y[1] - region.y[0] < (64 * 0.3 + 3) * math.tan(math.radians(30)) + 4 / math.cos(math.radians(30)) + 1

@@ -99,7 +99,7 @@ def test_every_face_is_covered_in_proportion_to_its_area():
 
 
 def test_gaussians_keep_the_centre_and_lie_in_the_face():
-    mesh = target_mesh("t72")
+    mesh = target_mesh("slicy")
     gaussians, faces = surface_gaussians(mesh, 0.1)
     weight = depths_and_areas(gaussians)
     np.testing.assert_allclose(np.average(gaussians.means, axis=0, weights=weight), mesh.centroid, atol=5e-3)

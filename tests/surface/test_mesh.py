@@ -200,7 +200,7 @@ def test_what_is_no_surface_is_an_empty_mesh_and_no_file(ball: Ball, tmp_path: P
 def test_the_mesh_does_not_depend_on_its_bricks(ball: Ball, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nor does a stray far away cost memory: only what is near points is looked at."""
     far = np.concatenate([ball.points, [[1e5, 1e5, 10.0]]]), np.concatenate([ball.normals, [[0, 0, 1.0]]])
-    monkeypatch.setattr("sarsplat.surface.mesh._BRICK", 11)
+    monkeypatch.setattr("sarsplat.surface.mesh._BRICK", 20)
     for points, normals in ((ball.points, ball.normals), far):
         mesh = surface_mesh(points, normals, ball.seen, GRID.cell_m)
         assert mesh.is_winding_consistent

@@ -89,7 +89,8 @@ def masks_of(target: Gaussians, ground: Ground | None, points: np.ndarray, views
         target=lambda degree: target, ground=lambda: ground, degree=lambda iteration: 0, as_displaced=lambda grid: grid
     )
     learned = object.__new__(GaussianReconstruction)
-    vars(learned).update(model=model, grid=GRID, snapshot=SimpleNamespace(iteration=0))
+    config, snapshot = SimpleNamespace(preset="default"), SimpleNamespace(iteration=0)
+    vars(learned).update(model=model, grid=GRID, config=config, snapshot=snapshot)
     return learned.masks(views, points.astype(np.float32))
 
 

@@ -61,7 +61,7 @@ def finished(_finished: Path, out: Path, plan: dict[str, Any]) -> Path:
     return out
 
 
-def test_runs_are_runs_and_done_once(finished, plan):
+def test_runs_are_runs_done_once_with_means_and_spreads(finished, plan):
     before = runs(finished)
     rows = table(finished)
     assert [(row["dataset"], row["preset"], row["iterations"], row["seed"], row["state"]) for row in rows] == [
@@ -75,6 +75,11 @@ def test_runs_are_runs_and_done_once(finished, plan):
     results = done(plan, finished)
     assert runs(finished) == before
     assert [one.state for one in results.results] == ["finished"] * 2
+    (line,) = results.lines()
+    scores = [float(row["images.test.psnr_db"]) for row in rows]
+    assert (line.done, line.of) == (2, 2)
+    assert line.spreads["psnr_db"].mean == pytest.approx(sum(scores) / 2)
+    assert line.spreads["psnr_db"].sd == pytest.approx(abs(scores[0] - scores[1]) / 2**0.5)
 
 
 def test_only_what_differs_is_done(finished, plan):
@@ -189,15 +194,6 @@ def test_what_another_process_does_is_waited_for(out, plan, untrained, monkeypat
     monkeypatch.setitem(EXECUTORS._loaded, "here", busy)
     assert all(one.finished for one in done({**plan, "seeds": [0, 1, 2]}, out).results)
     assert asked == [3, 2, 1]
-
-
-def test_the_table_has_means_and_spreads(finished, plan):
-    (line,) = done(plan, finished).lines()
-    scores = [float(row["images.test.psnr_db"]) for row in table(finished)]
-    spread = line.spreads["psnr_db"]
-    assert (line.done, line.of) == (2, 2)
-    assert spread.mean == pytest.approx(sum(scores) / 2)
-    assert spread.sd == pytest.approx(abs(scores[0] - scores[1]) / 2**0.5)
 
 
 def test_the_page_has_a_figure_for_every_swept_setting_and_links_to_reports(out, plan):

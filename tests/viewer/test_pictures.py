@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from sarsplat.colours import DARK, DIFFERENCE, LIGHT, rgb
 from sarsplat.geometry import ImageGrid, View, radar_frame
@@ -99,7 +100,7 @@ TILTED = np.array([[-3.0, -4.0, 1.5], [4.0, -4.0, 1.5], [4.0, 4.0, -4.0], [-3.0,
 
 
 @pytest.mark.parametrize("pixel", [Pixel(18, 15), Pixel(0, 0)], ids=["on the target", "beside it"])
-@pytest.mark.parametrize("grazing_deg", [5.0, 40.0, 85.0])
+@pytest.mark.parametrize("grazing_deg", [5.0, 85.0])
 def test_the_line_of_a_pixel_runs_from_the_image_to_well_above_the_target(viewer, pixel, grazing_deg):
     view = View(50.0, grazing_deg)
     viewer.look_from(view)
@@ -111,11 +112,8 @@ def test_the_line_of_a_pixel_runs_from_the_image_to_well_above_the_target(viewer
     place = pixel.place_m(viewer._subject.maps_grid)
     np.testing.assert_allclose(np.stack([azimuth, slant_range]).T, [place] * 2, atol=1e-5)
     assert elevation[0] == pytest.approx(stage.plane_depth(view), abs=1e-5)
-    highest = max(
-        (np.array([stage.low, stage.high]) @ radar_frame(view)[1]).max(),
-        stage.high[2] * np.cos(np.radians(grazing_deg)),
-    )
-    assert elevation[1] > highest + stage.size_m
+    corners = (np.array([stage.low, stage.high]) @ radar_frame(view)[1]).max()
+    assert elevation[1] > max(corners, stage.high[2] * np.cos(np.radians(grazing_deg))) + stage.size_m
 
 
 def test_what_is_not_highlighted_stays_visible(viewer):
@@ -142,8 +140,6 @@ def test_lines_of_the_ground_leave_out_the_image_while_it_is_shown(viewer):
 
 @pytest.mark.parametrize("view", [View(50.0, 40.0, 10.0, "left"), View(50.0, -40.0, 80.0, "left", aloft=True)])
 def test_the_image_of_a_radar_that_looks_left_lies_where_its_pixels_are(viewer, view):
-    from scipy.spatial.transform import Rotation
-
     viewer.look_from(view)
     assert viewer.wait(60)
     stage, part = viewer._stage, viewer._part

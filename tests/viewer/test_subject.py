@@ -1,6 +1,7 @@
 """Runs and datasets as the page sees them, and phases between passes."""
 
 import math
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -98,8 +99,6 @@ def test_without_a_shape_the_box_is_where_the_images_show_something(dataset):
 
 
 def test_a_run_needs_no_dataset(finished, tmp_path):
-    import shutil
-
     shutil.copytree(finished.folder, tmp_path / "run")
     header = tmp_path / "run" / "config.json"
     header.write_text(header.read_text().replace(str(finished.dataset_path), str(tmp_path / "gone")))
@@ -114,10 +113,8 @@ def test_a_run_needs_no_dataset(finished, tmp_path):
 
 def test_ground_and_its_shadow_can_be_left_out(dataset):
     ground = replace(dataset, power=dataset.power + np.float32(0.05), ground=True, looks=1.0)
-    config = replace(preset("measured"), iterations=30, gaussians=300, points=FEW_POINTS)
+    config = replace(preset("measured"), iterations=20, gaussians=300, points=FEW_POINTS)
     run = reconstruct(ground, config, quiet=True)
-    from sarsplat.viewer.run_subject import subject_of_run
-
     subject = subject_of_run(run)
     assert subject.has_ground
     whole, bare = subject.render(VIEW), subject.render(VIEW, ground=False)
@@ -142,9 +139,8 @@ def test_of_views_from_one_direction_the_nearest_is_turned_alike(dataset):
     view = dataset.views[2]
     other = replace(view, tilt_deg=40.0)
     entries = (*dataset.entries, replace(dataset.entries[2], view=other, name="other"))
-    subject = dataset_subject(
-        replace(dataset, entries=entries, power=np.concatenate([dataset.power, dataset.power[2:3]]))
-    )
+    power = np.concatenate([dataset.power, dataset.power[2:3]])
+    subject = dataset_subject(replace(dataset, entries=entries, power=power))
     assert subject.nearest(other) == (len(dataset), 0.0)
     assert subject.nearest(view) == (2, 0.0)
 
@@ -161,7 +157,7 @@ def run() -> Run:
     law = ScatteringLaw(1.0, 0.0, 1.0)
     signals = simulate_stack(speck, LOOK, GRID, stack, law, ground_gamma0=1.0, noise=0.02)
     dataset = dataset_of(GRID, [(LOOK, "train")], signals[None], stack=stack, looks=1.0, ground=True)
-    return reconstruct(dataset, replace(preset("stack"), iterations=60), quiet=True)
+    return reconstruct(dataset, replace(preset("stack"), iterations=30), quiet=True)
 
 
 @pytest.mark.parametrize("view", [LOOK, View(30.0, 40.0)])

@@ -133,15 +133,7 @@ def render(
     from sarsplat.colours import POWER
     from sarsplat.data.folders import refuse_other_kinds
     from sarsplat.report.look import Look
-    from sarsplat.report.rendered import (
-        ANIMATIONS,
-        FILES,
-        SHEET,
-        Rendered,
-        asked_grid,
-        require_distinct,
-        require_output,
-    )
+    from sarsplat.report.rendered import ANIMATIONS, FILES, SHEET, Rendered, asked_grid, require_output
     from sarsplat.tiles import tiles_kept_in
 
     # who gives size and number of pixels decides what they show
@@ -149,8 +141,6 @@ def render(
     directions = views.listed(done.snapshot.views)
     require_output(out, views.frames if directions is None else len(directions))
     recognises = FILES.get(out.suffix.lower())
-    if directions is not None and recognises is None:
-        require_distinct(directions)
     refuse_existing(out, overwrite, marker=None if recognises else SHEET)
     if recognises is not None:
         refuse_other_kinds(out, run, recognises)

@@ -317,7 +317,7 @@ class Dataset:
 
     @checks_arguments
     def select(self, split: str) -> Dataset:
-        """Return one set alone as a dataset in memory; its `looks` are those of its images. Raise without such a set."""
+        """Return one set alone, in memory, with the `looks` of its images; raise if there is no such set."""
         clean = self.clean_tests and split != "train"
         looks = None if clean else self.looks
         return replace(self.take(self.indices(split)), looks=looks, clean_tests=False)
@@ -337,7 +337,10 @@ class Dataset:
 
     @checks_arguments
     def images(self, split: str) -> Real[np.ndarray, "v {self.grid.rows} {self.grid.columns}"]:
-        """Return β⁰ of one set, linear power, float32 [V, rows, columns], row 0 near range; may be a view of `power`."""
+        """Return β⁰ of one set, linear power, float32 [V, rows, columns], row 0 near range.
+
+        It may be a view of `power`. Raise if there is no such set.
+        """
         return self.power[_part(self.indices(split))]
 
     @checks_arguments

@@ -43,31 +43,12 @@ def new_folder(
 
     If the block raises, KeyboardInterrupt included, the temporary folder is removed and an existing `path` stays. A
     killed process leaves `.NAME.sarsplat-new`, which the next writer of this path clears, or `.NAME.sarsplat-old`, the
-    folder that was being replaced, which it restores.
+    folder that was being replaced, which it restores. Parent folders are made, and an empty folder counts as absent.
 
-    Parameters
-    ----------
-    path : Path
-        The folder to make; parent folders are made too. An empty folder there counts as absent.
-    overwrite : bool
-        True to replace an existing folder of the same kind, as a whole.
-    marker : str
-        Name of the file that marks this kind of folder: dataset.json, config.json (a run), comparison.html,
-        contact-sheet.png or chips.json.
-    goes_on : callable, optional
-        Predicate: can an unfinished folder be continued? If it says yes, the temporary folder stays when the block
-        raises, and the next call yields it again.
-
-    Yields
-    ------
-    Path
-        The temporary folder to write into.
-
-    Raises
-    ------
-    SarsplatError
-        If `path` exists and may not be replaced, another process is writing it, the disk is full or read-only, or
-        permission is missing.
+    With `overwrite`, an existing folder of the same kind is replaced as a whole; `marker` names the file that marks its
+    kind, such as dataset.json. If `goes_on` says of an unfinished folder that it can be continued, that stays when the
+    block raises, and the next call yields it again. Raise SarsplatError if `path` may not be replaced, another process
+    is writing it, the disk is full or read-only, or permission is missing.
     """
     path = Path(os.path.realpath(path))  # unlike resolve() it tolerates a link to itself
     built, old = temporary_folder(path), beside(path, _OLD)
@@ -127,9 +108,7 @@ def _clear(path: Path) -> None:
 
 
 def _refuse_existing(path: Path, overwrite: bool, marker: str) -> None:
-    if not os.path.lexists(path):
-        return
-    if not any(path.iterdir()):
+    if not os.path.lexists(path) or not any(path.iterdir()):
         return
     if not overwrite:
         raise SarsplatError(f"{path} already exists; choose another name or pass overwrite=True")

@@ -28,22 +28,11 @@ _GLTF_FROM_WORLD = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0,
 
 @checks_arguments
 def write_mesh(path: str | Path, mesh: trimesh.Trimesh) -> None:
-    """Write a mesh with normals and colours of its vertices, whole or not at all.
+    """Write a mesh to a .ply, .glb, .obj or .stl file, whole or not at all; an existing file is replaced.
 
-    A PLY file also holds other scalars of the vertices, such as `gamma0`; an STL file holds triangles alone.
-    Coordinates are in the world frame, z up, metres; the root node of a GLB file rotates them to y up.
-
-    Parameters
-    ----------
-    path : str or Path
-        A .ply, .glb, .obj or .stl file; an existing one is replaced.
-    mesh : trimesh.Trimesh
-        At least one face.
-
-    Raises
-    ------
-    SarsplatError
-        If the name ends otherwise, the mesh has no faces, or the file cannot be written.
+    Files hold normals and colours of its vertices, a PLY also other scalars, such as `gamma0`, but an STL triangles
+    alone. Coordinates are in the world frame, z up, metres; the root node of a GLB file rotates them to y up. Raise
+    SarsplatError if the name ends otherwise, the mesh has no faces, or the file cannot be written.
     """
     import trimesh
 

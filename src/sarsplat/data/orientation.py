@@ -10,7 +10,6 @@ import msgspec
 import numpy as np
 from jaxtyping import Shaped
 
-from sarsplat.errors import SarsplatError
 from sarsplat.names import Side
 from sarsplat.threads import convert
 
@@ -21,8 +20,6 @@ def oriented(
     images: Shaped[np.ndarray, "*v rows columns"], near: Side, mirrored: bool = False
 ) -> Shaped[np.ndarray, "*v m n"]:
     """Rotate pictures until their side `near` is at the top, then flip their columns if they are `mirrored`."""
-    if near not in SIDES:
-        raise SarsplatError(f"near is {near!r}; it must be one of {', '.join(SIDES)}")
     turned = np.rot90(images, SIDES.index(near), axes=(-2, -1))
     return np.ascontiguousarray(turned[..., ::-1] if mirrored else turned)
 

@@ -181,19 +181,10 @@ def write_points_ply(
 
 @checks_arguments
 def read_points_ply(path: str | Path) -> tuple[Float[np.ndarray, "p 3"], dict[str, Real[np.ndarray, " p"]]]:
-    """Read points and their scalars.
+    """Read points, m, float32 [P, 3], and by name the other scalars of the file, float32 [P].
 
-    Returns
-    -------
-    points : numpy.ndarray, float32 [P, 3]
-        Positions, m; float64 if float32 would round them, as with map coordinates.
-    columns : dict of str to numpy.ndarray, float32 [P]
-        Other scalars of the file.
-
-    Raises
-    ------
-    SarsplatError
-        If the file is missing, damaged or truncated, has no x, y, z, or a point is farther than 10⁹ m from the origin.
+    Points are float64 if float32 would round them, as with map coordinates. Raise SarsplatError if the file is missing,
+    damaged or truncated, has no x, y, z, or a point is farther than 10⁹ m from the origin.
     """
     path = Path(path)
     axes = ["x", "y", "z"]

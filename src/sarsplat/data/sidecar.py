@@ -43,29 +43,13 @@ _KINDS = {"name": str, "file": str, "set": str, "grazing_deg": int | float}
 
 
 def read_masks(folder: Path, dataset: Dataset, splits: Collection[str] | None = None) -> dict[int, Mask]:
-    """Read true masks of sets of a dataset; test images may lack theirs, training images may not.
+    """Read true masks of sets of a dataset, every test set unless given, by the index of the image, row 0 near.
 
-    Parameters
-    ----------
-    folder : Path
-        Grey 8-bit PNGs with the images' names (`T72/17deg/hb03333.png` for the chip `T72/17deg/hb03333.jpeg`):
-        0 clutter, 1 target, 2 shadow. Masks of MSTAR chips are oriented like the published chips, and are turned and
-        cut like them; masks of other datasets have row 0 near, like the images.
-    dataset : Dataset
-        Dataset with these images.
-    splits : collection of str, optional
-        Names of the sets; every test set unless given.
-
-    Returns
-    -------
-    dict of int to numpy.ndarray, uint8 [rows, columns]
-        Masks by the index of the image in the dataset, in its order; row 0 near.
-
-    Raises
-    ------
-    SarsplatError
-        If there is no such set, a training image or every image lacks its mask, two images would share one, or a mask
-        is damaged, of another size or holds other numbers.
+    The folder has grey 8-bit PNGs with the images' names (`T72/17deg/hb03333.png` for the chip
+    `T72/17deg/hb03333.jpeg`): 0 clutter, 1 target, 2 shadow. Masks of MSTAR chips are oriented like the published
+    chips, and are turned and cut like them; masks of other datasets have row 0 near, like the images. Test images may
+    lack theirs. Raise SarsplatError if there is no such set, a training image or every image lacks its mask, two images
+    would share one, or a mask is damaged, of another size or holds other numbers.
     """
     chosen = {split for split in dataset.splits() if split != "train"} if splits is None else set(splits)
     for split in chosen:

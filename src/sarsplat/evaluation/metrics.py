@@ -53,7 +53,6 @@ class Metric(Generic[Measured]):
     compute: Callable[[Measured], float]
     """Function that returns its value or raises `UndefinedScore`."""
     requires: Requirement = NOTHING
-    """Requirement on the dataset."""
     short: str = ""
     """Heading of its column in terminal and README, without the unit; empty if it has no column there."""
     place: Literal["headline", "table", "file"] = "table"
@@ -100,7 +99,6 @@ class ImagePair:
     score_margin: int
     """Pixels excluded on each side where speckled images are scored."""
     network: lpips.Lpips | None = None
-    """The network that LPIPS needs."""
 
 
 def image_parameters(dataset: Dataset) -> dict[str, Any]:

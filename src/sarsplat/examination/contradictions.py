@@ -25,12 +25,7 @@ from sarsplat.radiometry import bright_level
 _MAX_IMAGES = 120  # maximum number of images that are examined; evenly chosen of more
 _MAX_EMPTY = 1e-6  # edge power below which images show no ground, relative to their bright level
 
-_SHADOW_DIRECTION: dict[Side, str] = {
-    "top": "downwards",
-    "right": "to the left",
-    "bottom": "upwards",
-    "left": "to the right",
-}
+_SHADOW_DIRECTION = dict(zip(SIDES, ("downwards", "to the left", "upwards", "to the right"), strict=True))
 """Near side → direction in which shadows fall."""
 
 _WAS_MAP = "cannot be determined from neighbours: resampled from a map, they match by whatever angles are given"

@@ -94,12 +94,6 @@ class MapSystem:
             warnings.warn(f"`crs` {name} ({found.name}), {outside}, or {another}", SarsplatWarning, stacklevel=4)
         return made
 
-    @property
-    def epsg(self) -> int | None:
-        """EPSG number, or None."""
-        number: int | None = self.crs.to_epsg()
-        return number
-
     @cached_property
     def _operation(self) -> Any:
         """Transformation from WGS 84 for the entire scene, the best with the installed data."""
@@ -163,7 +157,8 @@ class MapSystem:
     def __str__(self) -> str:
         """Name, height datum, and unusual scale or accuracy, for the summary of an export."""
         height = LEVELS[self.place.height_above] + " (not the sea)" * (self.place.height_above == "ellipsoid")
-        number = "" if self.epsg is None else f" (EPSG:{self.epsg})"
+        epsg = self.crs.to_epsg()
+        number = "" if epsg is None else f" (EPSG:{epsg})"
         parts = [f"metres in {self.crs.name}{number}, heights above {height}"]
         scale = math.sqrt(abs(np.linalg.det(self.gradients[:2, :2])))
         if abs(scale - 1) > _STRETCHED:

@@ -5,13 +5,13 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any, Literal, Self, get_args
+from typing import Any, Literal, Self
 
 import numpy as np
 from jaxtyping import Float64
 from jaxtyping import Real as RealArray
 
-from sarsplat.arguments import checks_arguments, described, is_number
+from sarsplat.arguments import checks_arguments, described, expect, is_number
 from sarsplat.errors import SarsplatError, shown
 
 DATUM = "WGS 84"
@@ -68,10 +68,7 @@ class Place:
                     "before longitude, and bearing, in degrees; height in metres"
                 )
             object.__setattr__(self, name, float(value))  # JSON cannot hold numpy's numbers
-        if self.height_above not in get_args(HeightAbove):
-            raise SarsplatError(
-                f"heights above {shown(self.height_above)} are unknown; choose {', '.join(get_args(HeightAbove))}"
-            )
+        expect(HeightAbove, height_above=self.height_above)
         object.__setattr__(self, "longitude_deg", math.remainder(self.longitude_deg, 360.0))
         object.__setattr__(self, "x_towards_deg", self.x_towards_deg % 360.0)
 

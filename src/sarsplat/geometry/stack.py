@@ -2,11 +2,12 @@
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float64
 
-from sarsplat.arguments import checks_arguments, is_number
+from sarsplat.arguments import checks_arguments, expect, is_number
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry.grids import ImageGrid
 from sarsplat.geometry.view import View
@@ -21,8 +22,6 @@ _SEARCHED, _STEPS = 1000.0, 32  # searched elevations for ambiguities, in resolu
 
 _MAIN_LOBE, _AMBIGUOUS = 0.7, 0.95
 """Coherences of the passes at which the main lobe ends, and from which an elevation is ambiguous."""
-
-_TRANSMIT = ("each", "one")
 
 POLARISATIONS = ("HH", "HV", "VH", "VV", "RR", "RL", "LR", "LL", "RH", "RV", "LH", "LV")
 """Polarisations, received and transmitted: horizontal, vertical, right and left circular."""
@@ -95,8 +94,7 @@ class Stack:
                 f"offsets_rad is {shown(self.offsets_rad)}, where two passes are the same; give each once, or their "
                 "polarisations"
             )
-        if self.transmit not in _TRANSMIT:
-            raise SarsplatError(f"transmit is {shown(self.transmit)}; give one of {', '.join(_TRANSMIT)}")
+        expect(Literal["each", "one"], transmit=self.transmit)
         object.__setattr__(self, "wavelength_m", float(wavelength))
 
     def __len__(self) -> int:
@@ -155,10 +153,7 @@ class Stack:
         """
         frame = view.look.frame
         towards = -frame[2] + np.array(self.offsets_rad)[:, None] * frame[1]
-        vectors: Float64[np.ndarray, "p 3"] = self.wavenumber * (
-            towards / np.linalg.norm(towards, axis=1, keepdims=True) + frame[2]
-        )
-        return vectors
+        return self.wavenumber * (towards / np.linalg.norm(towards, axis=1, keepdims=True) + frame[2])
 
     @checks_arguments
     def elevation_numbers(self, view: View) -> Float64[np.ndarray, " p"]:
@@ -167,8 +162,7 @@ class Stack:
         Of a pair, the difference κ is 2π per ambiguous elevation, and k_z = κ / (cos(grazing) cos(tilt)) the phase
         per height.
         """
-        numbers: Float64[np.ndarray, " p"] = self.phase_vectors(view) @ view.look.frame[1]
-        return numbers
+        return self.phase_vectors(view) @ view.look.frame[1]
 
     @checks_arguments
     def plane_phases(self, view: View, grid: ImageGrid, height_m: float = 0.0) -> Float64[np.ndarray, "p rows columns"]:
@@ -191,5 +185,4 @@ class Stack:
         look = view.look
         slant, across = np.meshgrid(grid.range_m, grid.azimuth_m, indexing="ij")
         places = np.stack([across, look.elevation_at(across, slant, height_m), slant], axis=-1) @ look.frame
-        phases: Float64[np.ndarray, "p rows columns"] = np.moveaxis(places @ self.phase_vectors(view).T, -1, 0)
-        return phases
+        return np.moveaxis(places @ self.phase_vectors(view).T, -1, 0)

@@ -3,13 +3,13 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Self, get_args
+from typing import Self
 
 import numpy as np
 from jaxtyping import Float64
 
-from sarsplat.arguments import checks_arguments, described, is_number
-from sarsplat.errors import SarsplatError, shown
+from sarsplat.arguments import checks_arguments, described, expect, is_number
+from sarsplat.errors import SarsplatError
 from sarsplat.geometry.grids import ImageGrid
 from sarsplat.geometry.look import Look
 from sarsplat.geometry.place import direction_of, unit_of
@@ -91,8 +91,7 @@ class View:
         ):
             if not low <= value <= high:  # also catches NaN
                 raise SarsplatError(f"{name} {value} is not a number between {low:g} and {high:g}; give {give}")
-        if self.side not in get_args(RadarSide):
-            raise SarsplatError(f"side {shown(self.side)} is not one; give {' or '.join(get_args(RadarSide))}")
+        expect(RadarSide, side=self.side)
         if self.stretch != 1 and not self.aloft:
             raise SarsplatError("only images of a target aloft can be stretched; give stretch 1")
 

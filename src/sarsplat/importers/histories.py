@@ -29,33 +29,22 @@ _RELATIVES = {
 
 @dataclass(frozen=True)
 class PhaseHistoryFormat:
-    """Format of phase history.
-
-    Parameters
-    ----------
-    what : str
-        Name of such files, in a few words.
-    endings : tuple of str
-        Endings of their names, in small letters, such as ".mat".
-    read : callable
-        Reads one file, or raises a `SarsplatError` of one sentence: files are untrusted.
-    several : bool
-        True if files may hold several channels: `read` is then also given the name of one, or None.
-    describe : callable, optional
-        Returns facts of a file, names and values, or raises a `SarsplatError` of one sentence.
-    begins : bytes
-        First bytes of every such file and of no other; empty if they vary.
-    container : bytes
-        First bytes that such files share with others: decisive only for files given as phase history.
-    """
+    """Format of phase history; its functions raise a `SarsplatError` of one sentence, since files are untrusted."""
 
     what: str
+    """Name of such files, in a few words."""
     endings: tuple[str, ...]
+    """Endings of their names, in small letters, such as ".mat"."""
     read: Callable[..., PhaseHistory]
+    """Function that reads one file."""
     begins: bytes = b""
+    """First bytes of every such file and of no other; empty if they vary."""
     container: bytes = b""
+    """First bytes that such files share with others: decisive only for files given as phase history."""
     several: bool = False
+    """True if files may hold several channels: `read` is then also given the name of one, or None."""
     describe: Callable[[Path], dict[str, str]] | None = None
+    """Function that returns facts of a file, names and values."""
 
 
 def format_of(path: Path) -> PhaseHistoryFormat | None:

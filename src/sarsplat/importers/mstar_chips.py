@@ -90,11 +90,6 @@ class Chip:
         """True if its azimuth is known."""
         return math.isfinite(self.target_az_deg)
 
-    @property
-    def frame(self) -> str:
-        """Number of its frame, the name of its file: HB03787 of hb03787.jpeg."""
-        return Path(self.name).stem.upper()
-
 
 def read_chips(
     folder: Path, labels: Path | None, target_class: str | tuple[str, ...], *, unplaced: bool = False

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.importers.files import warn_caller
@@ -153,7 +154,8 @@ def _once(chips: Sequence[Chip], target: str) -> list[Chip]:
     """Remove copies: the same file name of one vehicle at the same angles in several folders."""
     first: dict[tuple[str, int, str, str], Chip] = {}
     for chip in chips:
-        first.setdefault((plain_name(chip.serial), chip.depression, chip.frame, f"{chip.target_az_deg:.4f}"), chip)
+        frame = Path(chip.name).stem.upper()  # HB03787 of hb03787.jpeg
+        first.setdefault((plain_name(chip.serial), chip.depression, frame, f"{chip.target_az_deg:.4f}"), chip)
     if repeated := len(chips) - len(first):
         warn_caller(f"{target}: left out {counted(repeated, 'chip')} lying in several folders, where each counts once")
     return list(first.values())

@@ -234,9 +234,11 @@ def _goes_on(first: PhaseHistory, second: PhaseHistory) -> bool:
 def _joined(pieces: Sequence[PhaseHistory]) -> PhaseHistory:
     if len(pieces) == 1:
         return pieces[0]
-    of_pulses = ("first_hz", "step_hz", "antenna_m", "reference_m")
     return PhaseHistory(
         f"{pieces[0].name} … {Path(pieces[-1].name).name}",
-        *(np.concatenate([getattr(piece, name) for piece in pieces]) for name in of_pulses),
+        np.concatenate([piece.first_hz for piece in pieces]),
+        np.concatenate([piece.step_hz for piece in pieces]),
+        np.concatenate([piece.antenna_m for piece in pieces]),
+        np.concatenate([piece.reference_m for piece in pieces]),
         np.concatenate([piece.samples for piece in pieces], axis=1),
     )

@@ -32,7 +32,6 @@ class Windows:
     columns: tuple[slice, ...]
     """The pixels of each image."""
     grids: tuple[ImageGrid, ...]
-    """Grid of each part."""
 
     @classmethod
     def around(

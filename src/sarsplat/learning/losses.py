@@ -1,7 +1,4 @@
-"""Losses of single images. Images are β⁰, linear power; amplitude is its root.
-
-To add a loss, write a function that makes it from the configuration and the images' scale, and name it in `LOSSES`.
-"""
+"""Losses of single images. Images are β⁰, linear power; amplitude is its root."""
 
 import math
 from collections.abc import Callable
@@ -17,6 +14,8 @@ from sarsplat.renderer.engines.choice import passes_for
 from sarsplat.renderer.engines.on_device import kept_on_device
 from sarsplat.renderer.engines.operation import Operation
 from sarsplat.settings.config import Config
+
+Images = Float[Tensor, "v rows columns"]
 
 Loss = Callable[[Tensor, Tensor], Tensor]
 """Function of rendered and true images, float32 [V, rows, columns], β⁰ in linear power; returns one number."""
@@ -36,9 +35,7 @@ _WINDOW = torch.softmax(-(_OFFSETS**2) / (2 * SSIM_STD**2), dim=0)
 _WEIGHTS = tuple(_WINDOW.tolist())
 
 
-def amplitude_loss(
-    power: Float[Tensor, "v rows columns"], truth: Float[Tensor, "v rows columns"], reference: float, ssim_weight: float
-) -> Float[Tensor, ""]:
+def amplitude_loss(power: Images, truth: Images, reference: float, ssim_weight: float) -> Float[Tensor, ""]:
     """(1 − λ)·L1 + λ·(1 − SSIM) on amplitude, √(power / reference² + ε²) − ε; differentiable with respect to `power`.
 
     `reference` is the amplitude that counts as 1, λ the `ssim_weight`. SSIM has a Gaussian window of 11 × 11, σ = 1.5,
@@ -68,9 +65,7 @@ class AmplitudeLoss(Operation):
     def __init__(self, reference: float, ssim_weight: float) -> None:
         self.reference, self.ssim_weight = reference, ssim_weight
 
-    def plain(
-        self, power: Float[Tensor, "v rows columns"], truth: Float[Tensor, "v rows columns"]
-    ) -> Float[Tensor, ""]:
+    def plain(self, power: Images, truth: Images) -> Float[Tensor, ""]:
         rendered = (power / self.reference**2 + FLOOR**2).sqrt() - FLOOR
         true = truth.sqrt() / self.reference
         absolute = _mean((rendered - true).abs())
@@ -87,7 +82,7 @@ class AmplitudeLoss(Operation):
         return {"loss": power.new_empty(())}
 
 
-def structural_similarity(a: Float[Tensor, "v rows columns"], b: Float[Tensor, "v rows columns"]) -> Float[Tensor, ""]:
+def structural_similarity(a: Images, b: Images) -> Float[Tensor, ""]:
     """Mean SSIM of images in [0, 1], over pixels where the window fits whole."""
     mean_a, mean_b, aa, bb, ab = (_blurred(maps) for maps in (a, b, a * a, b * b, a * b))
     var_a, var_b, cov = aa - mean_a**2, bb - mean_b**2, ab - mean_a * mean_b
@@ -95,7 +90,7 @@ def structural_similarity(a: Float[Tensor, "v rows columns"], b: Float[Tensor, "
     return _mean(similarity / ((mean_a**2 + mean_b**2 + C1) * (var_a + var_b + C2)))
 
 
-def _blurred(images: Float[Tensor, "v rows columns"]) -> Float[Tensor, "v fewer_rows fewer_columns"]:
+def _blurred(images: Images) -> Float[Tensor, "v fewer_rows fewer_columns"]:
     """Convolve with the window, by matrix products: a GPU's convolutions would round to TF32."""
     rows, columns = (_window_matrix(size, images.dtype, images.device) for size in images.shape[1:])
     return rows.T @ (images @ columns)
@@ -110,9 +105,7 @@ def _window_matrix(size: int, dtype: torch.dtype, device: torch.device) -> Float
     return matrix.to(device, dtype)
 
 
-def speckle_loss(
-    power: Float[Tensor, "v rows columns"], intensity: Float[Tensor, "v rows columns"]
-) -> Float[Tensor, ""]:
+def speckle_loss(power: Images, intensity: Images) -> Float[Tensor, ""]:
     """Negative log-likelihood of single-look speckle, nats per pixel: the mean of log S + I / S.
 
     S is the rendered β⁰ with its noise floor, > 0, and I the measured one.
@@ -120,27 +113,23 @@ def speckle_loss(
     return speckle_nats(power, intensity).mean(0)
 
 
-def speckle_nats(
-    power: Float[Tensor, "v rows columns"], intensity: Float[Tensor, "v rows columns"]
-) -> Float[Tensor, " v"]:
+def speckle_nats(power: Images, intensity: Images) -> Float[Tensor, " v"]:
     """`speckle_loss` of each image."""
     return _means(power.log() + intensity / power)
 
 
-def total_power_loss(
-    power: Float[Tensor, "v rows columns"], intensity: Float[Tensor, "v rows columns"]
-) -> Float[Tensor, ""]:
+def total_power_loss(power: Images, intensity: Images) -> Float[Tensor, ""]:
     """Mean over images of (difference / mean)² of the total powers, in which speckle nearly averages out; at most 4."""
     rendered, true = _means(power), _means(intensity)
     mean = ((rendered + true) / 2).clamp(min=torch.finfo(power.dtype).tiny)
     return (((rendered - true) / mean) ** 2).mean(0)
 
 
-def _mean(images: Float[Tensor, "v rows columns"]) -> Float[Tensor, ""]:
+def _mean(images: Images) -> Float[Tensor, ""]:
     return _means(images).mean(0)
 
 
-def _means(images: Float[Tensor, "v rows columns"]) -> Float[Tensor, " v"]:
+def _means(images: Images) -> Float[Tensor, " v"]:
     """Mean of each image, dimension by dimension: the bits of a sum to one number would depend on torch's threads."""
     return images.mean(2).mean(1)
 

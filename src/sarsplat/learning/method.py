@@ -80,7 +80,6 @@ class Method(ABC):
     title: str
     """Name for readers."""
     settings: type[AnyConfig]
-    """Type of its settings."""
     takes: frozenset[str] = frozenset()
     """Fields of `Inputs` that it uses."""
     watchable: bool = False

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Float64
 from sarsplat.arguments import checks_arguments
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid, RayGrid, View
-from sarsplat.radar.surface import Surface, above_ground
+from sarsplat.radar.surface import Surface
 from sarsplat.renderer import attenuate, project, splat
 from sarsplat.surface.from_above import HIDDEN, transmittance_at
 
@@ -89,7 +89,7 @@ def radar_maps(surface: Surface, view: View, grid: ImageGrid, *, rays: RayGrid |
     spread = 2 * np.sqrt(_unexplained(means, grid))  # two equally large scatterers are two standard deviations apart
     with np.errstate(invalid="ignore"):
         layover = spread > grid.cell_m
-    standing = gaussians[:0] if view.aloft else above_ground(gaussians)
+    standing = gaussians[:0] if view.aloft else gaussians[gaussians.means[:, 2] > 0]  # may throw shadow on z = 0
     shadow = _hidden_ground(standing, view, grid, rays) & ~shown
     return RadarMaps(
         means[_HEIGHT].astype(np.float32),

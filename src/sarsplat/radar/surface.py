@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
@@ -80,8 +79,3 @@ def surface_of_mesh(mesh: Trimesh, cell_m: float) -> Surface:
     """
     gaussians, faces = surface_gaussians(mesh, _PIECE * cell_m)
     return Surface(gaussians, np.asarray(mesh.face_normals, np.float64)[faces])
-
-
-def above_ground(gaussians: Gaussians) -> Gaussians:
-    """Gaussians whose centres are above z = 0, which may throw shadow on it."""
-    return gaussians[torch.nonzero(gaussians.means[:, 2] > 0)[:, 0]]

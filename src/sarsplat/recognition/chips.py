@@ -34,7 +34,6 @@ class Chip:
     power: Float32[np.ndarray, "rows columns"]
     """Linear power in any unit, row 0 near range."""
     grid: ImageGrid
-    """Its pixels."""
     view: View
     """Its view at azimuth 0."""
     target: str = ""

@@ -35,7 +35,6 @@ class Located:
     chips: tuple[Chip, ...]
     """The images, with their labels."""
     runs: tuple[Run, ...]
-    """The runs."""
     calibration: Calibration
     """Temperature and biases of the odds, which are not calibrated if its `images` is 0."""
     odds: Float64[np.ndarray, "n c"]

@@ -1,10 +1,12 @@
 """Checks of the renderer's arguments. The engines check values as they read them."""
 
 from collections.abc import Mapping, Sequence
+from typing import Literal
 
 import torch
 from torch import Tensor
 
+from sarsplat.arguments import check_number, expect
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import MAX_OPTICAL_DEPTH, MIN_SCALE, Gaussians
 from sarsplat.gaussians.gaussians import check_same_kind
@@ -66,10 +68,9 @@ def check_channels(name: str, tensor: Tensor, views: int, gaussians: int) -> Non
 
 def check_options(*, imaging_weight: str = "area", first_return_depth: float | None = None) -> None:
     """Raise if an option is not among its choices, or out of range."""
-    if imaging_weight not in ("area", "peak"):
-        raise SarsplatError(f"imaging_weight {imaging_weight!r} is unknown; choose one of area, peak")
-    if first_return_depth is not None and not 0 < first_return_depth < float("inf"):
-        raise SarsplatError(f"first_return_depth {first_return_depth} must be a positive two-way optical depth")
+    expect(Literal["area", "peak"], imaging_weight=imaging_weight)
+    if first_return_depth is not None:
+        check_number("first_return_depth", first_return_depth, 0, above=True)
 
 
 def check_for_cpu(grid: ImageGrid | None, tensors: Mapping[str, Tensor | None]) -> None:

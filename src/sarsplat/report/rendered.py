@@ -114,12 +114,6 @@ def require_output(out: Path, views: int) -> None:
         raise SarsplatError(f"{out} is an animation but one view was asked for; give more, or `sweep='azimuth'`")
 
 
-def require_distinct(views: list[View]) -> None:
-    """Raise if two views would have the same file name."""
-    if len({_name(view) for view in views}) < len(views):
-        raise SarsplatError("two of the views are the same to within a millionth of a degree; give each view once")
-
-
 def _description(view: View) -> str:
     return (
         f"rendered SAR image, beta0 in linear power; row 0 is near range; "

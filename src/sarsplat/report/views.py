@@ -46,7 +46,7 @@ def _unseen(dataset: Dataset) -> list[int]:
     return tests or list(range(len(dataset)))
 
 
-def chosen_views(dataset: Dataset, metrics: Mapping[str, Any] | None, most: int = _VIEWS) -> list[Chosen]:
+def chosen_views(dataset: Dataset, metrics: Mapping[str, Any] | None) -> list[Chosen]:
     """Choose the best, median and worst of the scored unseen images, then others, evenly spread."""
     best_first, metric = ranked_images(dataset, metrics, fewest=3)
     of_note: list[Chosen] = []
@@ -54,7 +54,7 @@ def chosen_views(dataset: Dataset, metrics: Mapping[str, Any] | None, most: int 
         for name, place in (("best", 0), ("median", len(best_first) // 2), ("worst", -1)):
             value, index = best_first[place]
             of_note.append(Chosen(index, f"{name}: {metric.text(value)} {metric.unit}".strip(), metric.label))
-    return with_others(dataset, of_note, most - len(of_note))
+    return with_others(dataset, of_note, _VIEWS - len(of_note))
 
 
 def ranked_images(

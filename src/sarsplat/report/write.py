@@ -1,7 +1,7 @@
 """Assemble and write a report."""
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -92,12 +92,7 @@ def _html(run: Run, quiet: bool) -> bytes:
 def _written(path: Path, html: bytes) -> Path:
     with plain_os_errors("write", path.parent):
         path.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        write_bytes(path, html)
-    except BaseException:
-        with suppress(OSError):  # an interruption leaves no empty folder
-            path.parent.rmdir()
-        raise
+    write_bytes(path, html)
     return path
 
 

@@ -297,8 +297,7 @@ class Result(ABC):
     @property
     def seed(self) -> int:
         """Seed of everything random."""
-        seed: int = self.config.seed
-        return seed
+        return int(self.config.seed)
 
     @property
     def learned(self) -> str:

@@ -110,7 +110,6 @@ class Header(msgspec.Struct, forbid_unknown_fields=True):
     config: dict[str, Any]
     method: str
     target: str = ""
-    """Target of the dataset."""
     trained_on: str = ""
     """Device of the training, "cpu" or "cuda"; "" if unknown."""
     place: PlaceHeader | msgspec.UnsetType = msgspec.UNSET

@@ -38,7 +38,7 @@ _DECIMALS = 4  # decimals of drawn angles, degrees, so that the table of labels 
 
 @dataclass(frozen=True)
 class Label:
-    """Label of a chip: class, view, seed and the index of its run in the set; `Run.sample(view, seed)` draws it again."""
+    """Class, view and seed of a chip, and the index of its run in the set; `Run.sample(view, seed)` draws it again."""
 
     target: str
     view: View

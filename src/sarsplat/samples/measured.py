@@ -42,8 +42,7 @@ class _Measured:
 
     split: str
     name: str
-    view: View | None
-    """View; None if the azimuth is unknown."""
+    view: View | None  # None if the azimuth is unknown
     grazing_deg: float
     amplitude: Complex64[np.ndarray, "rows columns"]
 

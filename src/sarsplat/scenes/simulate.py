@@ -87,7 +87,6 @@ def simulate_images(
     warn_below_ground(mesh, grid, ground_gamma0, terrain)
     splat = source == "splat"
     raise_first(
-        (source not in ("raycast", "splat"), f"`source` is {source!r}; choose 'raycast' or 'splat'"),
         (splat and ray_spacing is not None, f"`ray_spacing` is {ray_spacing}, but it is for ray casting; leave it out"),
         (splat and grid.response != GAUSSIAN, f"response is {grid.response}, not Gaussian; choose `source='raycast'`"),
         (

@@ -51,10 +51,8 @@ def simulate_stack(
         Opaque triangles, m.
     view, grid, stack
         Direction to the radar, pixels, and the channels, which are coregistered to them.
-    law : ScatteringLaw
-        γ⁰ of the mesh's facets against incidence angle.
-    ground_gamma0 : float, optional
-        γ⁰ of an infinite flat ground at z = 0; no ground unless given.
+    law, ground_gamma0
+        As for `simulate_raycast`.
     mechanisms : Mechanisms, optional
         Polarimetric covariances, for stacks of several polarisations.
     noise : float

@@ -135,8 +135,8 @@ def _train_and_score(cell: Cell, folder: Path, row: Row) -> None:
             quiet=True,
             resume=begun,
         )
-    mesh, align = None if cell.mesh is None else Path(cell.mesh), cell.align
-    metrics = evaluate_run(run, mesh=mesh, alignment=align, masks=masks, quiet=True)  # type: ignore[arg-type]
+    mesh = None if cell.mesh is None else Path(cell.mesh)
+    metrics = evaluate_run(run, mesh=mesh, alignment=cell.align, masks=masks, quiet=True)  # type: ignore[arg-type]
     if cell.reports:
         from sarsplat.report import write_report
 

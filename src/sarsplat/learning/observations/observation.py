@@ -37,10 +37,7 @@ class Batch:
 
 
 class Observation(ABC):
-    """Base of the observations: training images of a dataset, on a device.
-
-    To add one, put a file with a class derived from this one into this folder.
-    """
+    """Base of the observations, classes in the files of this folder: training images of a dataset, on a device."""
 
     order: ClassVar[int]
     """Rank: a training begins with the smallest among the observations of its configuration."""

@@ -73,10 +73,7 @@ class Shot:
 
 
 class Part(ABC):
-    """Base of the parts, which override the methods they need.
-
-    To add a part, put a file with a class derived from this one into this folder.
-    """
+    """Base of the parts, classes in the files of this folder, which override the methods they need."""
 
     order: ClassVar[int]
     """Rank: parts act in ascending order."""

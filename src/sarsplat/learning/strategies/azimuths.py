@@ -7,13 +7,12 @@ from typing import Self
 import numpy as np
 import torch
 from jaxtyping import Float64, Int64
-from torch import Tensor
 
 from sarsplat.data import Dataset
 from sarsplat.geometry import View
 from sarsplat.learning.losses import speckle_nats
 from sarsplat.learning.optimiser import Optimiser
-from sarsplat.learning.strategies.strategy import Configured, Info, State, at_round
+from sarsplat.learning.strategies.strategy import Configured, Info, Params, State, at_round
 from sarsplat.settings.config import Config
 from sarsplat.settings.sections import Surroundings
 
@@ -42,7 +41,7 @@ class AzimuthRefinement(Configured):
         uncertain = any(entry.azimuth_std_deg for entry in train.entries)
         return cls(train, config.surroundings, config.iterations) if config.surroundings and uncertain else None
 
-    def initial_state(self, params: dict[str, Tensor]) -> State:
+    def initial_state(self, params: Params) -> State:
         """Azimuth corrections, zero at first, degrees."""
         return State(whole={"offset_deg": torch.zeros(len(self._labelled), dtype=torch.float64, device="cpu")})
 
@@ -51,7 +50,7 @@ class AzimuthRefinement(Configured):
         first, last = s.azimuth_from * self._iterations, s.azimuth_until * self._iterations
         return s.azimuth_rounds > 0 and at_round(step, first, last, s.azimuth_rounds - 1)
 
-    def act(self, params: dict[str, Tensor], optimizers: Optimiser, state: State, info: Info) -> None:
+    def act(self, params: Params, optimizers: Optimiser, state: State, info: Info) -> None:
         def nats(views: Sequence[View], numbers: Int64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
             batches = [speckle_nats(rendered, measured) for measured, rendered in info.compared(views, numbers)]
             return torch.cat(batches).double().cpu().numpy() * info.images.samples

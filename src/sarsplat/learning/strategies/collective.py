@@ -17,7 +17,7 @@ from sarsplat.data import Dataset
 from sarsplat.gaussians.initialise import Region
 from sarsplat.learning.optimiser import BETA1, BETA2, EPSILON, Optimiser
 from sarsplat.learning.parts.part import column_means, exact_scale
-from sarsplat.learning.strategies.strategy import Configured, Info, State
+from sarsplat.learning.strategies.strategy import Configured, Info, Params, State
 from sarsplat.settings.config import Config
 
 _PITCHES = (4, 8)  # spacings of the nodes of the lattices, in resolution cells
@@ -43,16 +43,14 @@ class CollectiveSteps(Configured):
         rate = config.smoothing.collective if config.smoothing.rounds > 0 and config.coarsest > 1 else 0.0
         return cls(rate) if rate else None
 
-    def initial_state(self, params: dict[str, Tensor]) -> State:
+    def initial_state(self, params: Params) -> State:
         means, scattering = params["means"].detach(), params["scattering"].detach()
         moments = {str(pitch): means.new_zeros(0, 4) for pitch in _PITCHES}
         moments["scattering"] = scattering.new_zeros(1, 2 * scattering.shape[1])
         return State(whole=moments, added=("scattering",))
 
     @torch.no_grad()
-    def step_post_backward(
-        self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
-    ) -> None:
+    def step_post_backward(self, params: Params, optimizers: Optimiser, state: State, step: int, info: Info) -> None:
         levels, frame = info.model.levels, info.model.frame
         if levels.coarsest == 1 or step % _EVERY:  # vehicles have no large surfaces
             return

@@ -12,7 +12,7 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid
 from sarsplat.learning.optimiser import Optimiser
 from sarsplat.learning.strategies import ops
-from sarsplat.learning.strategies.strategy import Configured, Info, State
+from sarsplat.learning.strategies.strategy import Configured, Info, Params, State
 from sarsplat.renderer import Rendering
 from sarsplat.settings.config import Config
 from sarsplat.settings.sections import Densification
@@ -31,7 +31,7 @@ class DensityControl(Configured):
     def of(cls, config: Config, train: Dataset) -> Self | None:
         return cls(config.densification) if config.densification else None
 
-    def initial_state(self, params: dict[str, Tensor]) -> State:
+    def initial_state(self, params: Params) -> State:
         """Sums of gradients over the views that lit a Gaussian, and the number of these views."""
         count, device = len(params["means"]), params["means"].device
         return State(
@@ -56,7 +56,7 @@ class DensityControl(Configured):
         state.rows["gradient"] += (total.norm(dim=-1) * half * lit).sum(0)
         state.rows["seen"] += lit.sum(0)
 
-    def act(self, params: dict[str, Tensor], optimizers: Optimiser, state: State, info: Info) -> None:
+    def act(self, params: Params, optimizers: Optimiser, state: State, info: Info) -> None:
         pruned, cloned, divided = self.decide(info.model.target(0).detach(), info.images.grid, state)
         source = ops.duplicate(params, optimizers, state, cloned)
         pruned, divided = pruned[source], divided[source]

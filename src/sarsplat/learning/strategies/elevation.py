@@ -4,11 +4,10 @@ from typing import Self
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from sarsplat.data import Dataset
 from sarsplat.learning.optimiser import Optimiser
-from sarsplat.learning.strategies.strategy import Configured, Info, State
+from sarsplat.learning.strategies.strategy import Configured, Info, Params, State
 from sarsplat.regions.stack_region import of_one_direction
 from sarsplat.settings.config import Config
 
@@ -28,15 +27,11 @@ class ElevationOnly(Configured):
             return None
         return cls(train.views[0].look.frame[1], round(config.passes.elevation_only * config.iterations))
 
-    def step_pre_backward(
-        self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
-    ) -> None:
+    def step_pre_backward(self, params: Params, optimizers: Optimiser, state: State, step: int, info: Info) -> None:
         if step <= self._until:
             self._before = params["means"].detach().clone()
 
-    def step_post_backward(
-        self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
-    ) -> None:
+    def step_post_backward(self, params: Params, optimizers: Optimiser, state: State, step: int, info: Info) -> None:
         if step > self._until:
             return
         with torch.no_grad():

@@ -10,7 +10,7 @@ from sarsplat.data import Dataset
 from sarsplat.learning.optimiser import Optimiser
 from sarsplat.learning.strategies import ops
 from sarsplat.learning.strategies.ops import running_sums
-from sarsplat.learning.strategies.strategy import Configured, Info, State, at_round
+from sarsplat.learning.strategies.strategy import Configured, Info, Params, State, at_round
 from sarsplat.radiometry import usual_peak
 from sarsplat.settings.config import Config
 from sarsplat.settings.sections import Relocation
@@ -31,13 +31,11 @@ class Growing(Configured):
     def of(cls, config: Config, train: Dataset) -> Self | None:
         return cls() if config.coarsest > 1 else None
 
-    def initial_state(self, params: dict[str, Tensor]) -> State:
+    def initial_state(self, params: Params) -> State:
         """Number of splits so far."""
         return State(whole={"times": torch.zeros((), dtype=torch.int64, device="cpu")}, added=("times",))
 
-    def step_post_backward(
-        self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
-    ) -> None:
+    def step_post_backward(self, params: Params, optimizers: Optimiser, state: State, step: int, info: Info) -> None:
         before = info.model.levels.growths(step - 1)
         if before < info.model.levels.growths(step) and before >= int(state.whole["times"]):
             state.whole["times"] = state.whole["times"].new_tensor(before + 1)
@@ -68,7 +66,7 @@ class Relocating(Configured):
     def due(self, step: int) -> bool:
         return step > 0 and at_round(step, 0, self._config.until * self._iterations, self._config.rounds)
 
-    def act(self, params: dict[str, Tensor], optimizers: Optimiser, state: State, info: Info) -> None:
+    def act(self, params: Params, optimizers: Optimiser, state: State, info: Info) -> None:
         idle, strong = pairs(info.cross_sections(), self._config.idle_share, info.generator)
         ops.relocate(params, optimizers, state, idle, strong, info.generator)
 

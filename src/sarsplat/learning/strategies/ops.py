@@ -10,9 +10,7 @@ from torch import Tensor
 
 from sarsplat.gaussians.gaussians import rotated
 from sarsplat.learning.optimiser import Optimiser
-from sarsplat.learning.strategies.strategy import State
-
-Params = dict[str, Tensor]
+from sarsplat.learning.strategies.strategy import Params, State
 
 _SPLIT_SHRINK = 1.6  # ratio of a Gaussian's widths to those of its two parts after a split
 

@@ -19,7 +19,7 @@ from torch.nn.functional import normalize
 from sarsplat.data import Dataset
 from sarsplat.gaussians.gaussians import product, rotated
 from sarsplat.learning.optimiser import Optimiser
-from sarsplat.learning.strategies.strategy import Configured, Info, State, at_round
+from sarsplat.learning.strategies.strategy import Configured, Info, Params, State, at_round
 from sarsplat.settings.config import Config
 from sarsplat.settings.sections import Smoothing
 
@@ -55,14 +55,12 @@ class Smoothed(Configured):
     def due(self, step: int) -> bool:
         return step > 0 and at_round(step, 0, self._iterations, self._config.rounds)
 
-    def initial_state(self, params: dict[str, Tensor]) -> State:
+    def initial_state(self, params: Params) -> State:
         light = params["means"].detach().new_zeros(len(params["means"]), 9)  # sums that `towards_planes` describes
         return State(rows={"light": light}, added=("light",))
 
     @torch.no_grad()
-    def step_post_backward(
-        self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
-    ) -> None:
+    def step_post_backward(self, params: Params, optimizers: Optimiser, state: State, step: int, info: Info) -> None:
         if info.model.levels.coarsest == 1:  # vehicles have no large flat surfaces
             return
         areas, light = info.rendering.lit_area, state.rows["light"].mul_(_KEPT)
@@ -74,7 +72,7 @@ class Smoothed(Configured):
         super().step_post_backward(params, optimizers, state, step, info)
 
     @torch.no_grad()
-    def act(self, params: dict[str, Tensor], optimizers: Optimiser, state: State, info: Info) -> None:
+    def act(self, params: Params, optimizers: Optimiser, state: State, info: Info) -> None:
         cell_m, means = info.images.grid.cell_m, params["means"].detach()
         quaternions, scales = params["quaternions"].detach(), params["scales"].detach()
         shortest = scales.argmin(1, keepdim=True)

@@ -20,6 +20,9 @@ from sarsplat.learning.training_images import TrainingImages
 from sarsplat.renderer import Bounds, Rendering, channel_of
 from sarsplat.settings.config import Config
 
+Params = dict[str, Tensor]
+"""Parameters of a training, by name."""
+
 _FAINTEST = 1e-6  # power relative to the brightest pixel, added before errors are divided by power
 
 
@@ -167,11 +170,11 @@ class Strategy(ABC):
         """Name of its state in snapshots; the class's name by default."""
         return type(self).__name__
 
-    def check(self, params: dict[str, Tensor]) -> None:
+    def check(self, params: Params) -> None:
         """Raise a `SarsplatError` if it does not support these parameters."""
         return
 
-    def initial_state(self, params: dict[str, Tensor]) -> State:
+    def initial_state(self, params: Params) -> State:
         """The state at the beginning of a training."""
         return State()
 
@@ -179,9 +182,7 @@ class Strategy(ABC):
         """Return True if it needs plane gradients in `Info.rendering` of this step, counted from 1."""
         return False
 
-    def step_pre_backward(
-        self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
-    ) -> None:
+    def step_pre_backward(self, params: Params, optimizers: Optimiser, state: State, step: int, info: Info) -> None:
         """Act after the rendering of a step, before its gradients; change no parameter."""
         return
 
@@ -193,9 +194,7 @@ class Strategy(ABC):
         return
 
     @abstractmethod
-    def step_post_backward(
-        self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
-    ) -> None:
+    def step_post_backward(self, params: Params, optimizers: Optimiser, state: State, step: int, info: Info) -> None:
         """Act after step number `step` of Adam.
 
         Add and remove rows of `params` by the functions of `strategies.ops`; change values in place, under
@@ -213,13 +212,11 @@ class Configured(Strategy):
         """Return True if it acts after this step."""
         return False
 
-    def act(self, params: dict[str, Tensor], optimizers: Optimiser, state: State, info: Info) -> None:
+    def act(self, params: Params, optimizers: Optimiser, state: State, info: Info) -> None:
         """Act, as in `step_post_backward`, after a step that is `due`; errors of the device have been raised."""
         return
 
-    def step_post_backward(
-        self, params: dict[str, Tensor], optimizers: Optimiser, state: State, step: int, info: Info
-    ) -> None:
+    def step_post_backward(self, params: Params, optimizers: Optimiser, state: State, step: int, info: Info) -> None:
         if self.due(step):
             info.check()
             self.act(params, optimizers, state, info)

@@ -4,12 +4,11 @@ from typing import Self
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from sarsplat.data import Dataset
 from sarsplat.learning.optimiser import Optimiser
 from sarsplat.learning.parts.texture import Maps, Texture
-from sarsplat.learning.strategies.strategy import Configured, Info, State, at_round
+from sarsplat.learning.strategies.strategy import Configured, Info, Params, State, at_round
 from sarsplat.settings.config import Config
 from sarsplat.settings.sections import Surroundings
 
@@ -32,7 +31,7 @@ class TextureEstimation(Configured):
         return at_round(step, first, self._iterations, self._settings.texture_rounds)
 
     @torch.no_grad()
-    def act(self, params: dict[str, Tensor], optimizers: Optimiser, state: State, info: Info) -> None:
+    def act(self, params: Params, optimizers: Optimiser, state: State, info: Info) -> None:
         images = info.images
         if images.grid != info.model.frame.grid:  # only at full resolution
             return

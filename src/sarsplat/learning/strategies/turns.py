@@ -12,12 +12,11 @@ from typing import Self
 import numpy as np
 import torch
 from jaxtyping import Float64, Int64
-from torch import Tensor
 
 from sarsplat.data import Dataset, DatasetEntry
 from sarsplat.geometry import Turn, View
 from sarsplat.learning.optimiser import Optimiser
-from sarsplat.learning.strategies.strategy import Configured, Info, State, at_round
+from sarsplat.learning.strategies.strategy import Configured, Info, Params, State, at_round
 from sarsplat.settings.config import Config
 from sarsplat.settings.sections import Turns
 
@@ -53,7 +52,7 @@ class TurnRefinement(Configured):
     def of(cls, config: Config, train: Dataset) -> Self | None:
         return cls(train, config.turns, config.iterations) if uncertain_passes(train) else None
 
-    def initial_state(self, params: dict[str, Tensor]) -> State:
+    def initial_state(self, params: Params) -> State:
         """Corrections of each pass, zero at first (`TURN_CORRECTIONS`)."""
         return State(whole={"correction": torch.zeros(len(self._passes), 3, dtype=torch.float64, device="cpu")})
 
@@ -61,7 +60,7 @@ class TurnRefinement(Configured):
         s = self._settings
         return s.rounds > 0 and at_round(step, s.begin * self._iterations, s.until * self._iterations, s.rounds - 1)
 
-    def act(self, params: dict[str, Tensor], optimizers: Optimiser, state: State, info: Info) -> None:
+    def act(self, params: Params, optimizers: Optimiser, state: State, info: Info) -> None:
         def differences(views: Sequence[View], numbers: Int64[np.ndarray, " n"]) -> Float64[np.ndarray, "n pixels"]:
             batches = [
                 measured.sqrt() - rendered.clamp(min=0).sqrt() for measured, rendered in info.compared(views, numbers)
