@@ -70,3 +70,23 @@ def test_masks_of_chips_are_turned_as_the_chips_were(tmp_path, mirrored):
     source = {"kind": "mstar", "mirrored": mirrored}
     dataset = named(small_dataset(source={**source, "cut_to_common_size": True}), "T72/17deg/hb")
     np.testing.assert_array_equal(read_masks(tmp_path, dataset)[1], small_mask())
+
+
+@pytest.mark.filterwarnings("ignore::sarsplat.SarsplatWarning")  # three chips alike
+def test_chips_and_their_masks_are_turned_alike(tmp_path):
+    from sarsplat import import_mstar
+
+    dn = np.full((24, 24), 30, np.uint8)
+    dn[14:20, 3:9] = 200  # near range is below
+    rows = ["path,class,serial,desired_depression_deg,measured_depression_deg,target_az_deg"]
+    for index in range(3):
+        save(tmp_path / f"chip{index}.jpeg", dn)
+        save(tmp_path / "masks" / f"chip{index}.png", (dn > 100).astype(np.uint8))
+        rows.append(f"chip{index}.jpeg,T72,1,17,17,{index * 120}")
+    (tmp_path / "labels.csv").write_text("\n".join(rows) + "\n")
+    fields = {"labels": tmp_path / "labels.csv", "target_class": "T72", "train_views": 2}
+    dataset = import_mstar(tmp_path, tmp_path / "out", **fields)
+    ((index, found),) = read_masks(tmp_path / "masks", dataset).items()
+    power = dataset.power[index]
+    assert found.sum() == 36
+    assert power[found == 1].min() > 4 * power[found == 0].max()

@@ -99,6 +99,7 @@ def test_either_byte_order_and_values_in_a_narrower_type(tmp_path, order):
     [
         (b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\0\2IM\x89HDF", "not a readable HDF5 file"),
         (b"MATLAB 4", "is not a MATLAB file; save it in MATLAB with -v7"),
+        (mat(matrix(), matrix()), "the variable 'a' twice"),
         (mat(matrix(kind=16)), "values of type 16 in an array of float64"),
         (mat(matrix((1, 1), bytes(4), 7, 12)), "values of type 7 in an array of int32"),
         (mat(packed(matrix((1, 2**25), bytes(2**25)), 1)), "expands to more than 16 times its size"),

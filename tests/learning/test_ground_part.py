@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from made import FEW_POINTS, dataset_of, hill, upright
-from made_runs import trained
+from made_runs import assert_same, trained
 from sarsplat import Run, SarsplatError, ScatteringLaw, Trainer, View, preset, reconstruct, render, simulate_raycast
 from sarsplat.data import Dataset
 from sarsplat.gaussians import SCATTERINGS, Ground, Harmonics, NormalLobes, register_scattering
@@ -20,6 +20,7 @@ from sarsplat.learning.method import Inputs
 from sarsplat.learning.model import SceneModel
 from sarsplat.learning.observations.single_images import PartsOfImages, SingleImages
 from sarsplat.learning.observations.stacks import Stacks
+from sarsplat.learning.snapshot import Snapshot
 from sarsplat.radar import Pixel
 from sarsplat.renderer import GroundBounce
 from sarsplat.report.page import _run_facts
@@ -151,8 +152,12 @@ def test_how_much_is_reflected_follows_the_images_once_there_is_a_shape(mirrored
     assert 0.05 < shares["by way of the ground"] < 0.5
 
 
-def test_runs_keep_it(mirrored: Dataset, tmp_path: Path) -> None:
-    whole = reconstruct(mirrored, replace(BOUNCING, iterations=15, law_from=0.0), out=tmp_path / "whole", quiet=True)
+def test_runs_keep_it_and_go_on_with_the_same_bits(mirrored: Dataset, tmp_path: Path) -> None:
+    short = replace(BOUNCING, iterations=15, law_from=0.0)
+    trained(mirrored, short, 6).snapshot(0.0).save(tmp_path / "checkpoint")
+    resumed = trained(mirrored, short, 3, Snapshot.load(tmp_path / "checkpoint"))
+    assert_same(trained(mirrored, short, 9).snapshot(0.0), resumed.snapshot(0.0))
+    whole = reconstruct(mirrored, short, out=tmp_path / "whole", quiet=True)
     kept = Run.load(tmp_path / "whole")
     images = kept.render(VIEWS[:1])
     assert np.array_equal(images, whole.render(VIEWS[:1]))

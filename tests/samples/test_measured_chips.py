@@ -13,7 +13,7 @@ from chip_files import write_chips
 from made import dataset_of
 from sarsplat import ImageGrid, SarsplatError, SarsplatWarning, View, import_folder, import_mstar, write_dataset
 from sarsplat.cli import main
-from sarsplat.data import read_dataset
+from sarsplat.data import read_dataset, read_masks
 from sarsplat.names import ChipScale, Side
 from sarsplat.samples import Encoding, write_measured_chips
 
@@ -182,3 +182,15 @@ def test_chips_without_azimuth_travel_with_their_dataset(datasets: list[Path], t
         assert "unplaced" not in read_dataset(tmp_path / name).source
     assert "unplaced" not in written.source
     assert write_measured_chips([tmp_path / "train"], tmp_path / "b", Encoding()).counts == {("train", "T72"): 3}
+
+
+def test_masks_travel_with_their_dataset(tmp_path: Path) -> None:
+    power = np.ones((2, 8, 8), np.float32)
+    dataset = dataset_of(
+        ImageGrid(8, 8, (0.2, 0.2), (0.3, 0.3)), [(View(0.0, 30.0), "train"), (View(9.0, 30.0), "test")], power
+    )
+    masks = np.arange(128, dtype=np.uint8).reshape(2, 8, 8) % 3
+    write_dataset(tmp_path / "one", dataset, masks=masks)
+    again = write_dataset(tmp_path / "two", read_dataset(tmp_path / "one"))
+    found = read_masks(tmp_path / "two" / "masks", again, again.splits())
+    assert np.array_equal([found[0], found[1]], masks)

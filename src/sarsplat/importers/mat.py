@@ -62,6 +62,8 @@ def read_mat(path: str | Path) -> dict[str, Any]:
             name, value = decoder.array(data, 0)
             if not name.isidentifier():
                 continue  # no counterpart, or MATLAB's own notes on objects
+            if name in variables:
+                decoder.refuse(f"the variable {name!r} twice")
             variables[name] = value
         if tag:
             decoder.refuse(f"{len(tag)} bytes after its last variable")
@@ -212,6 +214,8 @@ class _Decoder:
         fields: dict[str, Any] = {}
         for k in range(0, len(letters), longest):
             name = bytes(letters[k : k + longest]).partition(b"\0")[0].decode()
+            if name in fields:
+                self.refuse("two fields of one name")
             _, value, data = self.element(data)
             fields[name] = self.array(value, depth + 1)[1]
         return fields

@@ -154,7 +154,8 @@ def read_phoenix(path: str | Path) -> PhoenixChip:
     ------
     SarsplatError
         If it is no Phoenix file, its header is garbled, its sizes do not fit the file (a truncated chip), it is a full
-        scene rather than a chip, a magnitude is negative, absurdly large or not finite, or a phase is no angle.
+        scene rather than a chip, a field is stated twice, a magnitude is negative, absurdly large or not finite, or a
+        phase is no angle.
     """
     path = Path(path)
     with open_file(path) as file:
@@ -203,5 +204,8 @@ def _parse_header(path: Path, start: bytes) -> tuple[int, dict[str, str]]:
         raise_damaged(path, f"has a header that is not ASCII text ({error})")
     if _END not in lines:
         raise_damaged(path, f"has no {_END} within the {length} bytes of its header")
-    pairs = (line.split("=", 1) for line in lines if "=" in line)
-    return length, {key.strip(): value.strip() for key, value in pairs}
+    header: dict[str, str] = {}
+    for key, value in (line.split("=", 1) for line in lines if "=" in line):
+        if header.setdefault(key.strip(), value.strip()) != value.strip():
+            raise_damaged(path, f"gives {key.strip()[:40]!r} twice with different values")
+    return length, header
