@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -193,12 +193,12 @@ def _legend(run: Run, look: Look, view: View, brightest: str) -> str:
 
 def _absolute(run: Run) -> bool | None:
     """Return whether the run's images are calibrated; None if its dataset is missing."""
-    from sarsplat.data.dataset_folder import HEADER, read_header
+    from sarsplat.data import read_json
 
     if run.images is not None or run.dataset_path is None:
         return run.images is not None and run.images.calibration == "absolute"
-    folder = run.dataset_path
-    return read_header(folder).calibration == "absolute" if (folder / HEADER).is_file() else None
+    header = run.dataset_path / "dataset.json"
+    return bool(read_json(header, dict[str, Any]).get("calibration") == "absolute") if header.is_file() else None
 
 
 def _rendered(run: Run, views: Sequence[View], grid: ImageGrid) -> np.ndarray:

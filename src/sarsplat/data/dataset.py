@@ -190,10 +190,21 @@ class Dataset:
         signal: Complex[np.ndarray, "v *passes rows columns"],
         **fields: Any,
     ) -> Self:
-        """Make a dataset that keeps the phases; other arguments and errors are those of `Dataset`.
+        """Make a dataset that keeps the phases.
 
-        `signal` holds complex amplitudes √β⁰·e^jψ, complex [V, rows, columns], of stacks [V, P, rows, columns], row 0
-        near range.
+        Parameters
+        ----------
+        grid, entries
+            See `Dataset`.
+        signal : numpy.ndarray, complex [V, rows, columns], or of stacks [V, P, rows, columns]
+            Complex amplitudes √β⁰·e^jψ, row 0 near range.
+        **fields
+            Other fields of `Dataset`.
+
+        Raises
+        ------
+        SarsplatError
+            As for `Dataset`.
         """
         signal = as_signal(signal, "the images")
         return cls(grid, entries, power_of_passes(signal), signal=signal, **fields)
@@ -317,7 +328,13 @@ class Dataset:
 
     @checks_arguments
     def select(self, split: str) -> Dataset:
-        """Return one set alone, in memory, with the `looks` of its images; raise if there is no such set."""
+        """Return one set alone as a dataset in memory; its `looks` are those of its images.
+
+        Raises
+        ------
+        SarsplatError
+            If there is no such set.
+        """
         clean = self.clean_tests and split != "train"
         looks = None if clean else self.looks
         return replace(self.take(self.indices(split)), looks=looks, clean_tests=False)
@@ -337,9 +354,12 @@ class Dataset:
 
     @checks_arguments
     def images(self, split: str) -> Real[np.ndarray, "v {self.grid.rows} {self.grid.columns}"]:
-        """Return β⁰ of one set, linear power, float32 [V, rows, columns], row 0 near range.
+        """Return β⁰ of one set, linear power, float32 [V, rows, columns], row 0 near range; may be a view of `power`.
 
-        It may be a view of `power`. Raise if there is no such set.
+        Raises
+        ------
+        SarsplatError
+            If there is no such set.
         """
         return self.power[_part(self.indices(split))]
 

@@ -227,7 +227,7 @@ def write_raster(
     rasterio = _rasterio(path)
     (rows, columns), (left, top), (dx, dy) = raster.values.shape, raster.corner_m, raster.pitch_m
     kind, no_data = ("float32", math.nan) if colours is None else ("uint8", 255)
-    packed = {"tiled": True, "blockxsize": 256, "blockysize": 256, "compress": "deflate"}
+    packed = {"tiled": True, "blockxsize": 256, "blockysize": 256, "compress": "deflate", "bigtiff": "if_safer"}
     with rasterio.MemoryFile() as memory:
         with memory.open(
             driver="GTiff",

@@ -74,9 +74,19 @@ class SarImage:
     @classmethod
     @checks_arguments
     def of_complex(cls, signal: Complex[np.ndarray, "rows columns"], view: View, grid: ImageGrid) -> Self:
-        """Make an image that keeps its phase; other arguments and errors are those of `SarImage`.
+        """Make an image that keeps its phase.
 
-        `signal` is the complex amplitude √β⁰·e^jψ, complex [rows, columns], row 0 near range.
+        Parameters
+        ----------
+        signal : numpy.ndarray, complex [rows, columns]
+            Complex amplitude √β⁰·e^jψ, row 0 near range.
+        view, grid
+            See `SarImage`.
+
+        Raises
+        ------
+        SarsplatError
+            As for `SarImage`.
         """
         signal = as_signal(signal, "the image")
         return cls(power_of(signal), view, grid, signal)
@@ -114,7 +124,13 @@ class SarImage:
 
     @checks_arguments
     def show(self, *, dynamic_range_db: float = DYNAMIC_RANGE_DB) -> None:
-        """Open a window with the picture, or show it in a notebook; raise if matplotlib is not installed."""
+        """Open a window with the picture, or show it in a notebook.
+
+        Raises
+        ------
+        SarsplatError
+            If matplotlib is not installed.
+        """
         with needed("report", "a picture"):
             from matplotlib import pyplot
         _draw(self.power, self.view, self.grid, pyplot.figure(), dynamic_range_db)

@@ -32,7 +32,7 @@ _FINE = np.array([(down, right) for down in (0, -1, 1) for right in (0, -1, 1)])
 """Displacements of the fine search, pixels."""
 
 _SHAPES = (4.0, 8.0, 16.0, np.inf)
-"""Shapes a of the Lomax distribution, of which the likeliest is taken for an image; infinity: exponential."""
+"""Shapes a of the Lomax distribution; the likeliest, by the run that fits an image best, is that of all runs."""
 
 _ROUNDS = 4  # number of steps of expectation maximisation to the best gain of a Lomax distribution
 _LEAST_CURVATURE = 1e-12  # minimum second difference, nats per pixel and square step
@@ -84,16 +84,16 @@ class Matcher:
         fits, shifts = self._correlations(image)
         image = image[down:-down, across:-across]
         nats, azimuth, shift = self._best(image, fits, shifts, *_CANDIDATES)
-        at = np.unravel_index([nats.argmin()], nats.shape)
+        at, run = np.unravel_index([nats.argmin()], nats.shape), np.arange(self._runs)[:, None]
         shape = min(_SHAPES, key=lambda a: self._nats(image, at[0], azimuth[at], shift[at], a)[0].item())
-        first = np.take_along_axis(azimuth, nats.argmin(axis=1)[:, None], axis=1)
+        best = self._nats(image, run, azimuth, shift, shape)[0].argmin(axis=1)[:, None]
+        first = np.take_along_axis(azimuth, best, axis=1)
         turns = np.abs((np.arange(self._azimuths) - first) * 360 / self._azimuths % 360 - 180)
         opposite = np.where(turns <= _SECTOR_DEG, fits, -np.inf)
         others = self._best(
             image, opposite, shifts, min(_REVERSED[0], int((turns[0] <= _SECTOR_DEG).sum())), _REVERSED[1]
         )
-        found = self._between_azimuths(image, shifts, azimuth, shift, shape)
-        other = self._between_azimuths(image, shifts, *others[1:], shape)
+        found, other = (self._between_azimuths(image, shifts, one, shape) for one in (first, others[1]))
         better = other[0] < found[0]  # then what correlates best is the reversed one
         chosen = (np.where(better.reshape(-1, *[1] * (b.ndim - 1)), a, b) for a, b in zip(other, found, strict=True))
         _, azimuth_deg, curvature, gain, shift = chosen
@@ -104,17 +104,15 @@ class Matcher:
         self,
         image: Float32[np.ndarray, "r c"],
         shifts: Int64[np.ndarray, "q a 2"],
-        azimuth: Int64[np.ndarray, "q k"],
-        shift: Int64[np.ndarray, "q k 2"],
+        azimuth: Int64[np.ndarray, "q 1"],
         shape: float,
     ) -> tuple[np.ndarray, ...]:
-        """Return nats, azimuth (degrees), curvature (per square degree), gain and displacement of the likeliest one.
+        """Return nats, azimuth (degrees), curvature (per square degree), gain and displacement of each run, all [q].
 
-        The first three are those of the vertex of a parabola through its neighbours.
+        The first three are of the vertex of a parabola through `azimuth` and its neighbours; gain and displacement are
+        those of speckle at `azimuth`.
         """
-        run = np.arange(self._runs)[:, None]
-        best = self._nats(image, run, azimuth, shift, shape)[0].argmin(axis=1)[:, None]
-        three = (np.take_along_axis(azimuth, best, axis=1) + np.array([-1, 0, 1])) % self._azimuths
+        run, three = np.arange(self._runs)[:, None], (azimuth + np.array([-1, 0, 1])) % self._azimuths
         _, moved = self._displaced(image, run, three, shifts)
         nats, _ = self._nats(image, run, three, moved, shape)
         _, gain = self._nats(image, run[:, 0], three[:, 1], moved[:, 1])
@@ -158,7 +156,7 @@ class Matcher:
         azimuth: Int64[np.ndarray, "q k"],
         shifts: Int64[np.ndarray, "q a 2"],
     ) -> tuple[Float64[np.ndarray, "q k"], Int64[np.ndarray, "q k 2"]]:
-        """Return nats and displacements of the most likely displacements near those that correlate best."""
+        """Return nats of speckle and displacements, the most likely near those that correlate best."""
         moved = shifts[run, azimuth][:, :, None] + _FINE
         nats, _ = self._nats(image, run[..., None], azimuth[..., None], moved)
         best = nats.argmin(axis=-1)[..., None]
@@ -173,7 +171,7 @@ class Matcher:
         shift: Int64[np.ndarray, "*#k 2"],
         shape: float = np.inf,
     ) -> tuple[Float64[np.ndarray, "*#k"], Float64[np.ndarray, "*#k"]]:
-        """Return nats per pixel and gain of templates that are displaced."""
+        """Return nats per pixel and gain of displaced templates, by a Lomax distribution of that shape."""
         first = np.array(self._window.margins) - shift
         at = (run, azimuth, first[..., 0], first[..., 1])
         relative = self._inverse[at] * image

@@ -123,11 +123,21 @@ def export(
 
 @checks_arguments
 def export_terrain(terrain: str | Path, path: str | Path, view: View) -> Written:
-    """Write a map of layover and shadow on a GeoTIFF of heights, m, in a projected system in metres, without a run.
+    """Write a map of layover and shadow on a GeoTIFF of heights, without a run.
 
-    The map, a .tif, is on the pixels and in the system of the terrain; pixels without data hide nothing. The azimuth of
-    the view is clockwise from the terrain's east. Raise SarsplatError if the terrain cannot be read, the path has
-    another ending, the view is tilted, or the file cannot be written.
+    Parameters
+    ----------
+    terrain : str or Path
+        GeoTIFF of heights, m, in a projected system in metres; pixels without data hide nothing.
+    path : str or Path
+        File to write, a .tif on the pixels and in the system of the terrain; an existing one is replaced.
+    view : View
+        View, whose azimuth is clockwise from the terrain's east.
+
+    Raises
+    ------
+    SarsplatError
+        If the terrain cannot be read, the path has another ending, the view is tilted, or the file cannot be written.
     """
     path = Path(path)
     format, holds = format_of(path, "layover-shadow")

@@ -240,7 +240,7 @@ class _Fields:
         stored = hdf5_array(self._path, self._file, name)
         value = stored[()] if stored.shape == () and stored.dtype.kind in "SO" else b"?"
         text = value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
-        return printable(text.strip("\0"))
+        return printable(text.strip("\0 "))
 
     def geolocation(self, name: str) -> GeolocationGrid:
         axes, steps = zip(*(self.axis(f"{name}/{one}") for one in _AXES), strict=True)

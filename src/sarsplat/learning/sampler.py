@@ -9,6 +9,7 @@ from jaxtyping import Complex64, Float, Float32
 from scipy.fft import next_fast_len
 from torch import Tensor
 
+from sarsplat.arguments import expect
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.learning.model import SceneModel
@@ -32,7 +33,7 @@ class Sampler:
     """Function that draws an image of a learned scene from a view and a seed.
 
     `degree` is that of the harmonics, `grid` that of the training images; the other arguments are those of
-    `Run.sample`; `ground` and `scatterers` are checked here.
+    `Run.sample`, which are checked here.
     """
 
     def __init__(
@@ -44,6 +45,7 @@ class Sampler:
         speckle: Speckle,
         scatterers: float,
     ) -> None:
+        expect(Speckle, speckle=speckle)
         if not scatterers > 0:
             raise SarsplatError(f"scatterers is {shown(scatterers)}; give a number above 0, or inf")
         if isinstance(ground, str) and ground not in (LEARNED, UNIFORM):

@@ -152,7 +152,17 @@ def building_profile(
 
     An edge lies where the profile crosses the level that the analytic profile has there (half way between the levels
     of long regions on either side); both crossings are interpolated between the same pixels, so that its errors cancel.
-    `image` [rows, columns] is β⁰, linear power; the other arguments are its pixels, target and view.
+
+    Parameters
+    ----------
+    image : numpy.ndarray [rows, columns]
+        β⁰, linear power.
+    grid, building, grazing_deg, gamma0
+        Pixels, target and view of `image`.
+
+    Returns
+    -------
+    BuildingProfile
     """
     slant = View(0.0, grazing_deg).look.slant_range
     regions = building.regions(grazing_deg, gamma0)

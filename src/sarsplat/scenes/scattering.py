@@ -88,10 +88,27 @@ def part_reflectivity(mesh: Trimesh, spread_db: float, seed: int) -> Float64[np.
 def add_speckle(
     power: Real[np.ndarray, "*shape"], looks: float, rng: np.random.Generator
 ) -> Float[np.ndarray, "*shape"]:
-    """Multiply an intensity image, β⁰ or any linear power, by fully developed, spatially white speckle.
+    """Multiply an intensity image by fully developed, spatially white speckle.
 
-    Every pixel is multiplied by a gamma variate of mean 1 and variance 1/`looks` (1 look: exponential); shape and dtype
-    stay. Raise SarsplatError if `looks` is not positive and finite.
+    Parameters
+    ----------
+    power : numpy.ndarray
+        β⁰ or any linear power, ≥ 0, any shape.
+    looks : float
+        Number of looks L > 0: every pixel is multiplied by a gamma variate of mean 1 and variance 1/L
+        (L = 1: exponential, single look).
+    rng : numpy.random.Generator
+        Source of randomness.
+
+    Returns
+    -------
+    numpy.ndarray
+        Speckled power, shape and dtype of `power`.
+
+    Raises
+    ------
+    SarsplatError
+        If `looks` is not positive and finite.
     """
     check_number("`looks`", looks, 0, above=True)
     return (power * rng.gamma(looks, 1 / looks, size=power.shape)).astype(power.dtype)

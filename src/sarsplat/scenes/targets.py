@@ -80,10 +80,22 @@ TARGETS: dict[str, Callable[[], Trimesh]] = {
 
 @checks_arguments
 def target_mesh(name: str) -> Trimesh:
-    """Build the triangle mesh of a built-in target, one of `TARGETS`; `village` makes villages of any size.
+    """Build the triangle mesh of a built-in target; `village` makes villages of any size.
 
-    It is in metres, z up, ground at z = 0 except for `ALOFT`; noses, SLICY's step and buildings' near walls are towards
-    +x. Raise SarsplatError if there is no target of that name.
+    Parameters
+    ----------
+    name : str
+        One of `TARGETS`.
+
+    Returns
+    -------
+    trimesh.Trimesh
+        Metres, z up, ground at z = 0 except for `ALOFT`; noses, SLICY's step and buildings' near walls towards +x.
+
+    Raises
+    ------
+    SarsplatError
+        If there is no target of that name.
     """
     if name not in TARGETS:
         raise SarsplatError(f"there is no target named '{name}'; choose one of {', '.join(TARGETS)}")
