@@ -54,7 +54,8 @@ CONDITIONS_GRID = Experiment(
     "Real conditions",
     "Simulated single images of speckled ground of γ⁰ = 0.05, level unless said, with one or more objects, 24 views "
     "(12 azimuths at 35 and 50°; 26 within 120°) unless said, clean test images: settings that `reconstruct` chooses "
-    "by the images, beside presets by hand. Points against the visible surface. The paper has no figures for these.",
+    "by the images, beside presets by hand, of which `measured` keeps the largest object alone, as in single chips. "
+    "Points against the visible surface. The paper has no figures for these.",
     _rows(),
     (POINTS,),
     judged=("cd_m", "f1@0.3"),
