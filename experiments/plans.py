@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import json
 import statistics
@@ -83,10 +84,14 @@ def make(experiment: Experiment, work: Path, chips: Chips | None) -> None:
         elif "target_class" not in dataset:
             parse(simulation_words(folder, dataset))()
         elif chips is not None:
-            options = {name: value for name, value in dataset.items() if name != "folded"}
+            options = {name: value for name, value in dataset.items() if name not in ("folded", "seed")}
             if dataset.get("folded"):
                 every = import_mstar(chips.folder, folder.with_suffix(".whole"), labels=chips.labels, **options)
                 write_dataset(folder, folded(every))
+            elif "seed" in dataset:
+                labels = drawn(chips.labels, dataset, folder.with_suffix(".csv"))
+                every = import_mstar(chips.folder, folder.with_suffix(".whole"), labels=labels, **options)
+                write_dataset(folder, with_the_others(every, dataset))
             else:
                 import_mstar(chips.folder, folder, labels=chips.labels, **options)
 
@@ -116,6 +121,36 @@ def folded(dataset: Dataset) -> Dataset:
         replace(entry, split="test" if index % 4 == 1 else "train") for index, entry in enumerate(train.entries)
     )
     return replace(train, entries=entries)
+
+
+_NOT_DRAWN = "1"  # a planned depression angle that no chip has
+
+
+def drawn(labels: Path, dataset: Options, out: Path) -> Path:
+    """The table with a class's training chips drawn at random: all others get another planned depression angle."""
+    with labels.open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    at = [str(angle) for angle in dataset["train_depression"]]
+    own = [row for row in rows if row["class"] == dataset["target_class"] and row["desired_depression_deg"] in at]
+    known = [row for row in own if row["target_az_deg"]]
+    chance = np.random.default_rng([dataset["seed"], dataset["train_views"], *dataset["target_class"].encode()])
+    chosen = {known[k]["path"] for k in chance.choice(len(known), dataset["train_views"], replace=False)}
+    for row in own:
+        if row["path"] not in chosen:
+            row["desired_depression_deg"] = _NOT_DRAWN
+    with out.open("w", newline="", encoding="utf-8") as file:
+        table = csv.DictWriter(file, list(rows[0]))
+        table.writeheader()
+        table.writerows(rows)
+    return out
+
+
+def with_the_others(dataset: Dataset, options: Options) -> Dataset:
+    """With chips that were not drawn as test chips of their depression angle."""
+    (angle,) = options["train_depression"]
+    names = {f"test-{_NOT_DRAWN}": f"test-{angle}"}
+    entries = tuple(replace(entry, split=names.get(entry.split, entry.split)) for entry in dataset.entries)
+    return replace(dataset, entries=entries)
 
 
 def folder_of(dataset: Options, work: Path) -> Path:

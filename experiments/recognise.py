@@ -48,8 +48,10 @@ HOW_TO = ROOT / "docs" / "how-to" / "recognise.md"
 RUNS_FILE = "recognise-runs.csv"
 TRAINING, TEST = 17, 15
 CLASSES = ("T72", "BMP2", "BTR70", "2S1", "ZSU234", "BTR60", "BRDM2", "D7", "T62", "ZIL131")
-VIEWS = (20, 12, 8, 5)
-"""Numbers of training chips of a class."""
+VIEWS = (40, 20, 12, 8, 5)
+"""Numbers of training chips of a class, evenly spaced in azimuth."""
+DRAWN = (12, 5)
+"""Numbers of those drawn at random."""
 
 COLUMNS = {
     "accuracy": "accuracy",
@@ -189,12 +191,12 @@ def table(lines: Sequence[Mapping[str, str]]) -> str:
         ["chips of a class", "", *COLUMNS.values(), "images", "seeds"],
         ["---", "---", *["---:"] * (len(COLUMNS) + 2)],
     ]
-    for label in sorted({line["chips"] for line in lines}, key=_number):
+    for label in sorted({line["chips"] for line in lines}, key=lambda label: (_number(label), label)):
         for arm, title in ARMS.items():
             own = [line for line in lines if (line["chips"], line["arm"]) == (label, arm)]
             if own:
                 scores = (_text(name, own) for name in COLUMNS)
-                rows.append([str(_number(label)), title, *scores, own[0]["images"], str(len(own))])
+                rows.append([label.replace(" chips", ""), title, *scores, own[0]["images"], str(len(own))])
     return "".join(f"| {' | '.join(row)} |\n" for row in rows)
 
 
@@ -203,16 +205,16 @@ def about(lines: Sequence[Mapping[str, str]]) -> str:
     classes, images = lines[0]["classes"], lines[0]["images"]
     calibrated = sorted({int(line["calibrated by"]) for line in lines})
     return (
-        f"{classes} classes of MSTAR, each learned from a few chips at {TRAINING}°, evenly spaced in azimuth, by the "
-        f"preset `measured`; {images} chips at {TEST}°, located as if their azimuth were unknown; means over seeds. "
-        f"Odds are calibrated by {calibrated[0]} to {calibrated[-1]} other chips at {TRAINING}°; azimuth errors are "
-        f"of the labelled class. An image is {100 / int(images):.2g} %.\n"
+        f"{classes} classes of MSTAR, each learned from a few chips at {TRAINING}°, evenly spaced in azimuth or drawn "
+        f"at random by the seed, by the preset `measured`; {images} chips at {TEST}°, located as if their azimuth were "
+        f"unknown; means over seeds. Odds are calibrated by {calibrated[0]} to {calibrated[-1]} other chips at "
+        f"{TRAINING}°; azimuth errors are of the labelled class. An image is {100 / int(images):.2g} %.\n"
     )
 
 
 def page(experiment: Experiment, lines: Sequence[Mapping[str, str]]) -> str:
     """The page: what was done, what it says, the table."""
-    most = max((line["chips"] for line in lines), key=_number)
+    most = max((line["chips"] for line in lines), key=lambda label: (label.endswith("chips"), _number(label)))
     best, control, network, both = (
         [line for line in lines if (line["chips"], line["arm"]) == (most, arm)]
         for arm in ("learned", "average", "network", "network × learned")
@@ -220,7 +222,7 @@ def page(experiment: Experiment, lines: Sequence[Mapping[str, str]]) -> str:
     by_network = f", network {_text('accuracy', network)}, its odds times these {_text('accuracy', both)}" * bool(both)
     codes = " and ".join(dict.fromkeys(line["code"] for line in lines))
     found = (
-        f"From {most} of a class, {_text('accuracy', best)} of chips are recognised (rotated average "
+        f"From {_number(most)} chips of a class, {_text('accuracy', best)} of chips are recognised (rotated average "
         f"{_text('accuracy', control)}{by_network}), and the azimuth is found to "
         f"{_text('median azimuth error, °', best)} in the median ({_text('median azimuth error, °', control)})."
     )
@@ -241,11 +243,19 @@ def _text(name: str, lines: Sequence[Mapping[str, str]]) -> str:
     return f"{statistics.fmean(values):.2f}°" if ", °" in name else f"{statistics.fmean(values):.1%}".replace("%", " %")
 
 
-def rows(views: Sequence[int] = VIEWS, classes: int = len(CLASSES)) -> tuple[Row, ...]:
+def rows(
+    views: Sequence[int] = VIEWS, at_random: Sequence[int] = DRAWN, classes: int = len(CLASSES)
+) -> tuple[Row, ...]:
     """Trainings of so many chips of the first so many classes."""
+    labels = {f"{count} chips": count for count in views} | {f"{count} chips at random": count for count in at_random}
     return tuple(
-        Row(f"{count} chips", tuple(chips(target, count, TRAINING) for target in CLASSES[:classes]), "measured")
-        for count in views
+        Row(
+            label,
+            tuple(chips(target, count, TRAINING) for target in CLASSES[:classes]),
+            "measured",
+            random=label.endswith("random"),
+        )
+        for label, count in labels.items()
     )
 
 
@@ -274,7 +284,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--chips", type=Path, required=True, metavar="FOLDER", help="folder of the ten classes' chips")
     parser.add_argument("--labels", type=Path, required=True, metavar="TABLE", help="their table")
-    parser.add_argument("--views", type=int, nargs="+", default=VIEWS, metavar="K", help="training chips of a class")
+    parser.add_argument("--views", type=int, nargs="*", default=VIEWS, metavar="K", help="training chips of a class")
+    parser.add_argument("--drawn", type=int, nargs="*", default=DRAWN, metavar="K", help="of these at random")
     parser.add_argument("--classes", type=int, default=len(CLASSES), metavar="N", help="the first of " + str(CLASSES))
     parser.add_argument("--each", type=int, metavar="N", help="test chips of a class (default: all)")
     parser.add_argument("--quick", action="store_true", help="short trainings")
@@ -283,7 +294,10 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=RESULTS, metavar="FOLDER")
     given = parser.parse_args()
     fewer = replace(
-        RECOGNISE, rows=rows(given.views, given.classes), report=partial(report, each=given.each), quick=given.quick
+        RECOGNISE,
+        rows=rows(given.views, given.drawn, given.classes),
+        report=partial(report, each=given.each),
+        quick=given.quick,
     )
     return run([fewer], given.work, given.out, Means(given.processes), False, Chips(given.chips, given.labels))
 

@@ -294,7 +294,7 @@ def test_classes_and_azimuths_are_reported_by_arm_and_kept(made, module, tmp_pat
             or {arm: {**scores, "calibrated by": 20} for arm in recognise.ARMS}.items()
         ),
     )
-    rows = recognise.rows((5, 12), 2)
+    rows = recognise.rows((5, 12), (5,), 2)
     assert [len(one.datasets) for one in rows] == [2, 2]
     table = replace(recognise.RECOGNISE, rows=rows, report=partial(recognise.report, each=7))
     results = [finished(rows[1], 0, 0.1), finished(rows[1], 0, 0.1), finished(rows[0], 0, 0.1), waiting(rows[0], 0)]
