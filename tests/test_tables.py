@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from chip_files import write_chips
 from made import dataset_of
 from programs import ROOT
 from sarsplat import ImageGrid, View, import_mstar, preset, sweep
@@ -70,7 +71,7 @@ def lines(made: SimpleNamespace, table, results: Sequence[Result], kept: Path | 
 @pytest.mark.slow
 def test_every_experiment_can_be_run_and_reported(made):
     keys = {metric.key for metric in all_metrics(Yardstick(0.3))}
-    of_chips = {*inspect.signature(import_mstar).parameters, "folded"}
+    of_chips = {*inspect.signature(import_mstar).parameters, "folded", "seed"}
     every = made.catalogue.EXPERIMENTS
     assert len({found.name for found in every}) == len(every)
     for found in every:
@@ -294,7 +295,7 @@ def test_classes_and_azimuths_are_reported_by_arm_and_kept(made, module, tmp_pat
             or {arm: {**scores, "calibrated by": 20} for arm in recognise.ARMS}.items()
         ),
     )
-    rows = recognise.rows((5, 12), (5,), 2)
+    rows = recognise.rows((5, 12), (), 2)
     assert [len(one.datasets) for one in rows] == [2, 2]
     table = replace(recognise.RECOGNISE, rows=rows, report=partial(recognise.report, each=7))
     results = [finished(rows[1], 0, 0.1), finished(rows[1], 0, 0.1), finished(rows[0], 0, 0.1), waiting(rows[0], 0)]
@@ -304,6 +305,20 @@ def test_classes_and_azimuths_are_reported_by_arm_and_kept(made, module, tmp_pat
     page = (tmp_path / "out" / "recognise.md").read_text()
     assert page.count("| 12 | flat ground | 90.0 % | 1.25° | 80.0 % | – | – | – | – | 40 | 1 |") == 1
     assert "From 12 chips of a class, 90.0 % of chips are recognised (rotated average 90.0 %, network 90.0 %" in page
+
+
+@pytest.mark.filterwarnings("ignore::sarsplat.SarsplatWarning")
+def test_chips_are_drawn_by_the_seed_and_the_others_are_predicted(made, tmp_path):
+    chips = [("T72", "132", 17, azimuth) for azimuth in range(0, 300, 60)] + [("T72", "132", 15, 8), ("D7", "1", 17, 9)]
+    labels, drawn = write_chips(tmp_path, chips), set()
+    for seed in range(8):
+        options = {"target_class": "T72", "train_views": 2, "train_depression": (17,)}
+        table = made.plans.drawn(labels, {**options, "seed": seed}, tmp_path / "drawn.csv")
+        every = import_mstar(tmp_path, tmp_path / str(seed), labels=table, **options)
+        found = made.plans.with_the_others(every, options)
+        assert {name: len(found.select(name)) for name in found.splits()} == {"train": 2, "test-17": 3, "test-15": 1}
+        drawn.add(tuple(view.azimuth_deg for view in found.select("train").views))
+    assert len(drawn) > 3
 
 
 def test_products_of_odds_trust_neither_factor_blindly(module):
