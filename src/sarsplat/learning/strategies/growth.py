@@ -1,21 +1,25 @@
-"""Growth and relocation: Gaussians are split where images of a finer level differ, and idle ones join strong ones."""
+"""Growth and relocation: Gaussians are split where images of a finer level differ, and idle ones join others.
+
+By power alone roofs would take the Gaussians of dimmer walls that share their pixels, until these are transparent.
+"""
 
 from typing import Self
 
 import torch
-from jaxtyping import Bool, Float, Int64
+from jaxtyping import Bool, Float, Float64, Int64
 from torch import Tensor
 
 from sarsplat.data import Dataset
 from sarsplat.learning.optimiser import Optimiser
+from sarsplat.learning.parts.part import exact_scale
 from sarsplat.learning.strategies import ops
 from sarsplat.learning.strategies.ops import running_sums
 from sarsplat.learning.strategies.strategy import Configured, Info, Params, State, at_round
-from sarsplat.radiometry import usual_peak
 from sarsplat.settings.config import Config
 from sarsplat.settings.sections import Relocation
 
 _SHARE = 0.9  # share of the images' error held by the Gaussians that are split; the others stay
+_HARDLY_LIT = 0.05  # lit area of a cube, relative to the mean, below which the cube counts less than others
 
 
 class Growing(Configured):
@@ -51,7 +55,7 @@ def holding(errors: Float[Tensor, " n"], share: float) -> Bool[Tensor, " n"]:
 
 
 class Relocating(Configured):
-    """Moves the weakest Gaussians to strong ones, at intervals."""
+    """Moves idle Gaussians to others, at intervals."""
 
     order = 20
     name = "relocation"
@@ -66,27 +70,39 @@ class Relocating(Configured):
     def due(self, step: int) -> bool:
         return step > 0 and at_round(step, 0, self._config.until * self._iterations, self._config.rounds)
 
+    @torch.no_grad()
     def act(self, params: Params, optimizers: Optimiser, state: State, info: Info) -> None:
-        idle, strong = pairs(info.cross_sections(), self._config.idle_share, info.generator)
-        ops.relocate(params, optimizers, state, idle, strong, info.generator)
+        shares = shares_of_cubes(info.lit_areas(), params["means"], info.images.grid.cell_m)
+        idle, joined = pairs(shares, self._config.idle_share, info.generator)
+        ops.relocate(params, optimizers, state, idle, joined, info.generator)
+
+
+def shares_of_cubes(lit: Float[Tensor, " n"], means: Float[Tensor, "n 3"], side_m: float) -> Float64[Tensor, " n"]:
+    """Share of each Gaussian in the lit area of its cube; in a cube that is hardly lit, a share of less than all."""
+    cubes = (means / side_m).floor().long()
+    x, y, z = (cubes - cubes.amin(0)).unbind(1)
+    _, cube = ((x * (y.max() + 1) + y) * (z.max() + 1) + z).unique(return_inverse=True)
+    scale = exact_scale(lit[:, None])
+    total = torch.zeros_like(cube).index_add_(0, cube, (lit * scale).long()) / scale
+    least = _HARDLY_LIT * total.sum() / total.count_nonzero().clamp(min=1)
+    return lit / total.clamp(min=least.clamp(min=torch.finfo(lit.dtype).tiny))[cube]
 
 
 def pairs(
-    cross_sections: Float[Tensor, " n"], idle_share: float, generator: torch.Generator
+    shares: Float64[Tensor, " n"], idle_share: float, generator: torch.Generator
 ) -> tuple[Int64[Tensor, " m"], Int64[Tensor, " m"]]:
-    """Indices of the idle Gaussians, and of the strong one that each joins; no index is in both.
+    """Indices of the idle Gaussians, and of the one that each joins; no index is in both.
 
-    Idle are the weakest that together have at most `idle_share` of all radar cross-sections σ, m². The probability to
-    be joined is proportional to σ, which is capped at `usual_peak`: beside a corner reflector, all else would be idle.
+    Idle are those with the least shares, together at most `idle_share` of the sum. The probability to be joined is
+    proportional to the share.
     """
-    sigma = cross_sections.double().clamp(max=usual_peak(cross_sections.cpu().numpy()))
-    order = sigma.argsort(stable=True)
-    held = running_sums(sigma[order])
+    order = shares.argsort(stable=True)
+    held = running_sums(shares[order])
     idle = order[held <= idle_share * held[-1]][: len(order) // 2]
-    weights = sigma.index_fill(0, idle, 0.0)
+    weights = shares.index_fill(0, idle, 0.0)
     idle = idle[: int((weights > 0).sum())]
     if not len(idle):
         return idle, idle
     # as `torch.multinomial` does on the CPU, with the same numbers on every device
-    chance = torch.empty(len(sigma), dtype=torch.float64, device="cpu").exponential_(generator=generator)
+    chance = torch.empty(len(shares), dtype=torch.float64, device="cpu").exponential_(generator=generator)
     return idle, (weights / chance.to(weights.device)).topk(len(idle)).indices

@@ -95,16 +95,16 @@ class Info:
             yield self.images.truth[numbers] / self.model.unit, power / self.model.unit
 
     @torch.no_grad()
-    def cross_sections(self) -> Float[Tensor, " n"]:
-        """Radar cross-section σ of each of the target's Gaussians, m²: its maximum over the training views.
+    def lit_areas(self) -> Float[Tensor, " n"]:
+        """Lit area of each of the target's Gaussians, m²: its maximum over the training views.
 
         The mean would be small for Gaussians that only one view sees.
         """
         views, largest = self.images.views, torch.zeros(len(self.model), dtype=torch.float32, device=self.model.device)
         for batch in self._batches(len(views)):
             _, rendering = self._rendered(views[batch], None)
-            sections = rendering.cross_sections[:, : len(largest), self.model.power_channel]  # then the surroundings'
-            largest = torch.maximum(largest, sections.amax(0))
+            areas = rendering.lit_area[:, : len(largest)]  # then the surroundings'
+            largest = torch.maximum(largest, areas.amax(0))
         return largest
 
     def errors(self) -> Float[Tensor, " n"]:
