@@ -132,9 +132,9 @@ def drawn(labels: Path, dataset: Options, out: Path) -> Path:
         rows = list(csv.DictReader(file))
     at = [str(angle) for angle in dataset["train_depression"]]
     own = [row for row in rows if row["class"] == dataset["target_class"] and row["desired_depression_deg"] in at]
-    known = [row for row in own if row["target_az_deg"]]
+    known = [row["path"] for row in own if row["target_az_deg"]]
     chance = np.random.default_rng([dataset["seed"], dataset["train_views"], *dataset["target_class"].encode()])
-    chosen = {known[k]["path"] for k in chance.choice(len(known), dataset["train_views"], replace=False)}
+    chosen = set(chance.choice(known, dataset["train_views"], replace=False).tolist())
     for row in own:
         if row["path"] not in chosen:
             row["desired_depression_deg"] = _NOT_DRAWN

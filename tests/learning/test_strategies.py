@@ -19,7 +19,7 @@ from sarsplat.learning.snapshot import Snapshot
 from sarsplat.learning.strategies import Info, State, Strategy, ops
 from sarsplat.learning.strategies.azimuths import AzimuthRefinement
 from sarsplat.learning.strategies.density import DensityControl
-from sarsplat.learning.strategies.growth import Relocating, pairs
+from sarsplat.learning.strategies.growth import Relocating, pairs, shares_of_cubes
 from sarsplat.learning.strategies.smoothing import Smoothed
 from sarsplat.learning.strategies.strategy import Params
 from sarsplat.learning.strategies.texture import TextureEstimation
@@ -221,27 +221,27 @@ def generator() -> torch.Generator:
     return torch.Generator().manual_seed(0)
 
 
-def test_the_weakest_join_strong_ones_each_its_own() -> None:
-    sigma = torch.tensor([5.0, 0.0, 3.0, 0.01, 2.0, 0.5])
-    idle, strong = pairs(sigma, 0.01, generator())
+def test_the_least_join_others_each_its_own() -> None:
+    shares = torch.tensor([5.0, 0.0, 3.0, 0.01, 2.0, 0.5]).double()
+    idle, joined = pairs(shares, 0.01, generator())
     assert idle.tolist() == [1, 3]  # 0.01 of 10.51 is less than a hundredth, 0.51 is more
-    assert len(set(strong.tolist())) == 2
-    assert not set(strong.tolist()) & {1, 3}
+    assert len(set(joined.tolist())) == 2
+    assert not set(joined.tolist()) & {1, 3}
 
 
-def test_at_most_half_is_idle_and_nobody_joins_what_scatters_nothing() -> None:
-    assert len(pairs(torch.ones(10), 1.0, generator())[0]) == 5
-    idle, strong = pairs(torch.tensor([0.0, 0.0, 0.0, 1.0]), 0.5, generator())
-    assert (len(idle), strong.tolist()) == (1, [3])
-    assert len(pairs(torch.zeros(4), 0.5, generator())[0]) == 0
+def test_at_most_half_is_idle_and_nobody_joins_what_is_not_lit() -> None:
+    assert len(pairs(torch.ones(10).double(), 1.0, generator())[0]) == 5
+    idle, joined = pairs(torch.tensor([0.0, 0.0, 0.0, 1.0]).double(), 0.5, generator())
+    assert (len(idle), joined.tolist()) == (1, [3])
+    assert len(pairs(torch.zeros(4).double(), 0.5, generator())[0]) == 0
 
 
-def test_a_corner_reflector_leaves_the_others_at_work() -> None:
-    sigma = torch.linspace(0.5, 1.5, 1000)
-    sigma[:10] = 1e5
-    idle, _ = pairs(sigma, 0.01, generator())
-    assert len(idle) < 50  # what holds a hundredth of powers that count as no more than 125
-    assert pairs(sigma / 1e3, 0.01, generator())[0].tolist() == idle.tolist()
+def test_each_lit_cube_counts_alike_however_many_share_it() -> None:
+    means = torch.tensor([[0.1, 0.1, 0.1]] * 4 + [[1.1, -2.0, 0.1]] + [[5.0, 5.0, 5.0]] * 2)
+    shares = shares_of_cubes(torch.tensor([3.0, 1.0, 0.0, 0.0, 2.0, 1e-3, 1e-3]), means, 1.0)
+    assert shares[:5].tolist() == [0.75, 0.25, 0.0, 0.0, 1.0]
+    assert 0 < shares[5] == shares[6] < 0.05  # of a cube that is hardly lit
+    assert shares_of_cubes(torch.zeros(2), means[:2], 1.0).tolist() == [0, 0]
 
 
 def test_a_round_keeps_the_number_and_about_the_power(dataset: Dataset) -> None:
@@ -249,7 +249,7 @@ def test_a_round_keeps_the_number_and_about_the_power(dataset: Dataset) -> None:
     trainer = trained(dataset, config, 69)
     images, rendering = trainer.model.render(trainer.views, trainer.grid, 0)
     before, means = images.detach(), trainer.gaussians.means.clone()
-    rows = pairs(rendering.cross_sections[..., 0].detach().mean(0), 0.01, generator())
+    rows = pairs(rendering.lit_area.mean(0).double(), 0.01, generator())
     ops.relocate(trainer.model.parameters, trainer.optimiser, State(), *rows, generator())
     assert trainer.optimiser.take_moves() is not None
     after = trainer.model.render(trainer.views, trainer.grid, 0)[0].detach()

@@ -191,11 +191,11 @@ def same(one: torch.Tensor, whole: torch.Tensor) -> None:
 @pytest.mark.parametrize("changes", [{}, {"loss": "speckle", "total_power": 0.05}, {"densification": Densification()}])
 def test_they_have_the_loss_and_the_gradients_of_all_at_once(few_pixels, monkeypatch, changes):
     loss, gradients, at_once = compared(few_pixels, in_threes(**changes))
-    expected = at_once.errors(), at_once.cross_sections()
+    expected = at_once.errors(), at_once.lit_areas()
     monkeypatch.setattr(batching, "_STEP_GIB", 1e-9)
     few_loss, few_gradients, few = compared(few_pixels, in_threes(**changes))
     torch.testing.assert_close(few_loss, loss)
-    for one, whole in zip((*few_gradients, few.errors(), few.cross_sections()), (*gradients, *expected), strict=True):
+    for one, whole in zip((*few_gradients, few.errors(), few.lit_areas()), (*gradients, *expected), strict=True):
         same(one, whole)
     for name in ("images", "cross_sections", "lit_area"):
         same(getattr(few.rendering, name), getattr(at_once.rendering, name))

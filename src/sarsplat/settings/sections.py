@@ -99,7 +99,7 @@ class Densification(Record):
 
 @dataclass(frozen=True)
 class Relocation(Record):
-    """Moves of idle Gaussians to strong ones, of which each takes over half.
+    """Moves of idle Gaussians to others, of which each takes over half.
 
     Parameters
     ----------
@@ -108,14 +108,15 @@ class Relocation(Record):
     until : float
         Time of the last round, as a share of all iterations.
     idle_share : float
-        Share of all cross-sections (the largest in any training view) that the idle, weakest Gaussians have together.
+        Share that the idle Gaussians have together, where each lit cube of a resolution cell counts alike and a
+        Gaussian's share in its cube is that of the lit area (the largest in any training view).
     """
 
     _section: ClassVar[str] = "relocation."
 
     rounds: Iteration = 12
     until: Share = 0.75
-    idle_share: Share = 0.01
+    idle_share: Share = 0.004
 
 
 @dataclass(frozen=True)
