@@ -84,7 +84,7 @@ def test_every_public_name_is_in_the_reference(site, pages):
     known = set().union(*(page.ids for path, page in pages.items() if path.parent.name == "python"))
     missing = []
     lazy = (
-        *("settings", "surface", "examination", "learning", "runs"),
+        *("settings", "surface", "evaluation", "examination", "learning", "runs"),
         *("radar", "baselines", "samples", "sweeps"),
     )  # whose pages name the files that define what they export
     for module in {*FOLDERS} - {"cli", "viewer", *lazy}:

@@ -12,10 +12,11 @@ from typing import Any, Generic, Literal, TypeVar
 import numpy as np
 
 from sarsplat.data import Dataset
-from sarsplat.evaluation import images, lpips
+from sarsplat.evaluation import images
 from sarsplat.evaluation.azimuths import CLOSE_DEG, REVERSED_DEG, STEP_DEG
 from sarsplat.evaluation.images import REACH, MaskPair, Stack, UndefinedScore
 from sarsplat.evaluation.left_open import undetermined
+from sarsplat.evaluation.lpips import WEIGHTS_VARIABLE, Lpips, lpips
 from sarsplat.evaluation.points import NORMALS_OFF_DEG, PointMetrics, Yardstick
 from sarsplat.geometry import SHADOW, TARGET
 from sarsplat.runs import Run
@@ -98,7 +99,7 @@ class ImagePair:
     """Mean β⁰ of the training set."""
     score_margin: int
     """Pixels excluded on each side where speckled images are scored."""
-    network: lpips.Lpips | None = None
+    network: Lpips | None = None
 
 
 def image_parameters(dataset: Dataset) -> dict[str, Any]:
@@ -130,8 +131,8 @@ KNOWN_SURFACE = Requirement(
 
 def _lpips(pair: ImagePair) -> float:
     if pair.network is None:
-        raise UndefinedScore(f"no LPIPS weights; give their folder as `lpips_weights` or in {lpips.WEIGHTS_VARIABLE}")
-    return lpips.lpips(pair.truth, pair.rendered, pair.reference_amplitude, pair.network)
+        raise UndefinedScore(f"no LPIPS weights; give their folder as `lpips_weights` or in {WEIGHTS_VARIABLE}")
+    return lpips(pair.truth, pair.rendered, pair.reference_amplitude, pair.network)
 
 
 def _nats_per_pixel(pair: ImagePair) -> float:
