@@ -70,6 +70,7 @@ PRESETS: dict[str, Config] = {
             clusters="bright",
             cluster_radius=0.7,
         ),
+        relocation=Relocation(idle_share=0.01, alike_from=10.0),
         ground=FlatGround(from_images=True),
         surroundings=Surroundings(noise_floor=0.01, shift_std=0.0, gain_std=0.0, side_lobes=0.0, texture_looks=0.0),
     ),

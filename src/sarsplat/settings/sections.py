@@ -108,8 +108,9 @@ class Relocation(Record):
     until : float
         Time of the last round, as a share of all iterations.
     idle_share : float
-        Share that the idle Gaussians have together, where each lit cube of a resolution cell counts alike and a
-        Gaussian's share in its cube is that of the lit area (the largest in any training view).
+        Share that the idle Gaussians have together, where each lit cube of a resolution cell has 1, divided by lit area.
+    alike_from : float
+        Lit area of a cube, relative to the mean, from which it has 1; below it has less, in proportion.
     """
 
     _section: ClassVar[str] = "relocation."
@@ -117,6 +118,7 @@ class Relocation(Record):
     rounds: Iteration = 12
     until: Share = 0.75
     idle_share: Share = 0.004
+    alike_from: Positive = 0.05
 
 
 @dataclass(frozen=True)

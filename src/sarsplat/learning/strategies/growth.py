@@ -19,7 +19,6 @@ from sarsplat.settings.config import Config
 from sarsplat.settings.sections import Relocation
 
 _SHARE = 0.9  # share of the images' error held by the Gaussians that are split; the others stay
-_HARDLY_LIT = 0.05  # lit area of a cube, relative to the mean, below which the cube counts less than others
 
 
 class Growing(Configured):
@@ -72,19 +71,25 @@ class Relocating(Configured):
 
     @torch.no_grad()
     def act(self, params: Params, optimizers: Optimiser, state: State, info: Info) -> None:
-        shares = shares_of_cubes(info.lit_areas(), params["means"], info.images.grid.cell_m)
-        idle, joined = pairs(shares, self._config.idle_share, info.generator)
+        c = self._config
+        shares = shares_of_cubes(info.lit_areas(), params["means"], info.images.grid.cell_m, c.alike_from)
+        idle, joined = pairs(shares, c.idle_share, info.generator)
         ops.relocate(params, optimizers, state, idle, joined, info.generator)
 
 
-def shares_of_cubes(lit: Float[Tensor, " n"], means: Float[Tensor, "n 3"], side_m: float) -> Float64[Tensor, " n"]:
-    """Share of each Gaussian in the lit area of its cube; in a cube that is hardly lit, a share of less than all."""
+def shares_of_cubes(
+    lit: Float[Tensor, " n"], means: Float[Tensor, "n 3"], side_m: float, alike_from: float
+) -> Float64[Tensor, " n"]:
+    """Share of each Gaussian in the lit area of its cube.
+
+    In cubes with less than `alike_from` of the mean they sum to less than 1, in proportion to the lit area.
+    """
     cubes = (means / side_m).floor().long()
     x, y, z = (cubes - cubes.amin(0)).unbind(1)
     _, cube = ((x * (y.max() + 1) + y) * (z.max() + 1) + z).unique(return_inverse=True)
     scale = exact_scale(lit[:, None])
     total = torch.zeros_like(cube).index_add_(0, cube, (lit * scale).long()) / scale
-    least = _HARDLY_LIT * total.sum() / total.count_nonzero().clamp(min=1)
+    least = alike_from * total.sum() / total.count_nonzero().clamp(min=1)
     return lit / total.clamp(min=least.clamp(min=torch.finfo(lit.dtype).tiny))[cube]
 
 
