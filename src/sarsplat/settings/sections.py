@@ -108,7 +108,7 @@ class Relocation(Record):
     until : float
         Time of the last round, as a share of all iterations.
     idle_share : float
-        Share that the idle Gaussians have together, where each lit cube of a resolution cell has 1, divided by lit area.
+        Share of the idle Gaussians together, where each lit cube of a resolution cell has 1, divided by lit area.
     alike_from : float
         Lit area of a cube, relative to the mean, from which it has 1; below it has less, in proportion.
     """
