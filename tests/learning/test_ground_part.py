@@ -141,8 +141,8 @@ def reflectivity(model: SceneModel) -> float:
 
 
 def test_how_much_is_reflected_follows_the_images_once_there_is_a_shape(mirrored: Dataset) -> None:
-    quick = replace(BOUNCING, iterations=60, law_from=0.5, rates=replace(BOUNCING.rates, nuisance=0.03))
-    bare, mirror = (trained(dataset, quick, 60).model for dataset in (mirrored_by(0.0), mirrored))
+    quick = replace(BOUNCING, iterations=80, law_from=0.5, rates=replace(BOUNCING.rates, nuisance=0.03))
+    bare, mirror = (trained(dataset, quick, 80).model for dataset in (mirrored_by(0.0), mirrored))
     assert reflectivity(bare) < 0.1
     assert reflectivity(mirror) > 0.4
     assert reflectivity(trained(mirrored, replace(quick, iterations=15, law_from=1.0), 15).model) == pytest.approx(0.3)
@@ -228,7 +228,7 @@ def exponents(run: Run) -> torch.Tensor:
 
 
 def test_the_exponent_follows_the_images_and_is_one_for_all(dataset: Dataset, config: Config) -> None:
-    quicker = replace(config, iterations=100, rates=replace(config.rates, law=0.06))
+    quicker = replace(config, iterations=120, rates=replace(config.rates, law=0.06))
     settings = (8.0, quicker), (2.0, quicker), (8.0, replace(config, law_penalty=100.0))
     narrow, wide, held = (exponents(reconstruct(slanted(dataset, e), one, quiet=True)) for e, one in settings)
     assert narrow.unique().numel() == wide.unique().numel() == 1
