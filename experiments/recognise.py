@@ -266,8 +266,7 @@ RECOGNISE = Experiment(
     "*Rotated average*: the training chips, turned to each azimuth and averaged, in place of renderings. "
     "*Network*: that of [the benchmark](chips.md), trained on the same chips, these turned, and chips that the "
     "reconstructions generate; it sees the field, too. Powers of odds in products are chosen by other chips at "
-    f"{TRAINING}°, at most {LABELLED} of a class; with 12 chips these were evenly spaced in "
-    "azimuth, as training chips are, and the odds an earlier version's. Odds in products are calibrated by the fewest.",
+    f"{TRAINING}°, at most {LABELLED} of a class. Odds in products are calibrated by the fewest.",
     rows(),
     (),
     judged=(),
