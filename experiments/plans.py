@@ -130,13 +130,16 @@ def drawn(labels: Path, dataset: Options, out: Path) -> Path:
     """The table with a class's training chips drawn at random: all others get another planned depression angle."""
     with labels.open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    at = [str(angle) for angle in dataset["train_depression"]]
-    own = [row for row in rows if row["class"] == dataset["target_class"] and row["desired_depression_deg"] in at]
+    (at,) = dataset["train_depression"]
+    own = [
+        row for row in rows if row["class"] == dataset["target_class"] and float(row["desired_depression_deg"]) == at
+    ]
     known = [row["path"] for row in own if row["target_az_deg"]]
     chance = np.random.default_rng([dataset["seed"], dataset["train_views"], *dataset["target_class"].encode()])
     chosen = set(chance.choice(known, dataset["train_views"], replace=False).tolist())
     for row in own:
         if row["path"] not in chosen:
+            row["measured_depression_deg"] = row["measured_depression_deg"] or row["desired_depression_deg"]
             row["desired_depression_deg"] = _NOT_DRAWN
     with out.open("w", newline="", encoding="utf-8") as file:
         table = csv.DictWriter(file, list(rows[0]))

@@ -51,7 +51,7 @@ CLASSES = ("T72", "BMP2", "BTR70", "2S1", "ZSU234", "BTR60", "BRDM2", "D7", "T62
 VIEWS = (40, 20, 12, 8, 5)
 """Numbers of training chips of a class, evenly spaced in azimuth."""
 DRAWN = (12, 5)
-"""Numbers of those drawn at random."""
+"""Numbers of training chips of a class in other trainings, drawn at random."""
 
 COLUMNS = {
     "accuracy": "accuracy",
@@ -284,7 +284,7 @@ def main() -> int:
     parser.add_argument("--chips", type=Path, required=True, metavar="FOLDER", help="folder of the ten classes' chips")
     parser.add_argument("--labels", type=Path, required=True, metavar="TABLE", help="their table")
     parser.add_argument("--views", type=int, nargs="*", default=VIEWS, metavar="K", help="training chips of a class")
-    parser.add_argument("--drawn", type=int, nargs="*", default=DRAWN, metavar="K", help="of these at random")
+    parser.add_argument("--drawn", type=int, nargs="*", default=DRAWN, metavar="K", help="of others, drawn at random")
     parser.add_argument("--classes", type=int, default=len(CLASSES), metavar="N", help="the first of " + str(CLASSES))
     parser.add_argument("--each", type=int, metavar="N", help="test chips of a class (default: all)")
     parser.add_argument("--quick", action="store_true", help="short trainings")

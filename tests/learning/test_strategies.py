@@ -131,7 +131,7 @@ OPERATIONS: dict[str, tuple[Callable[..., Tensor], list[int], list[bool]]] = {
         [True, True, False, False],
     ),
     "relocate": (
-        lambda *a: ops.relocate(*a, idle=torch.tensor([0]), strong=torch.tensor([1]), generator=torch.Generator()),
+        lambda *a: ops.relocate(*a, idle=torch.tensor([0]), joined=torch.tensor([1]), generator=torch.Generator()),
         [1, 1, 2],
         [False, False, True],
     ),

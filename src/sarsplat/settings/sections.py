@@ -108,9 +108,9 @@ class Relocation(Record):
     until : float
         Time of the last round, as a share of all iterations.
     idle_share : float
-        Share of the idle Gaussians together, where each lit cube of a resolution cell has 1, divided by lit area.
+        Largest part of all shares held by idle Gaussians; those in a cube of a cell share 1 by lit area.
     alike_from : float
-        Lit area of a cube, relative to the mean, from which it has 1; below it has less, in proportion.
+        Lit area, relative to the lit cubes' mean, from which a cube's shares sum to 1; below in proportion, to less.
     """
 
     _section: ClassVar[str] = "relocation."

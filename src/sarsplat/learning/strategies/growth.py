@@ -1,6 +1,6 @@
 """Growth and relocation: Gaussians are split where images of a finer level differ, and idle ones join others.
 
-By power alone roofs would take the Gaussians of dimmer walls that share their pixels, until these are transparent.
+If power decided, roofs would take the Gaussians of dimmer walls that share their pixels, until the walls are glass.
 """
 
 from typing import Self
@@ -82,15 +82,15 @@ def shares_of_cubes(
 ) -> Float64[Tensor, " n"]:
     """Share of each Gaussian in the lit area of its cube.
 
-    In cubes with less than `alike_from` of the mean they sum to less than 1, in proportion to the lit area.
+    In cubes with less than `alike_from` of the lit cubes' mean they sum to less than 1, in proportion to the lit area.
     """
     cubes = (means / side_m).floor().long()
     x, y, z = (cubes - cubes.amin(0)).unbind(1)
     _, cube = ((x * (y.max() + 1) + y) * (z.max() + 1) + z).unique(return_inverse=True)
     scale = exact_scale(lit[:, None])
-    total = torch.zeros_like(cube).index_add_(0, cube, (lit * scale).long()) / scale
-    least = alike_from * total.sum() / total.count_nonzero().clamp(min=1)
-    return lit / total.clamp(min=least.clamp(min=torch.finfo(lit.dtype).tiny))[cube]
+    whole = torch.zeros_like(cube).index_add_(0, cube, (lit.double() * scale).long())
+    least = alike_from * whole.sum() / whole.count_nonzero().clamp(min=1) / scale
+    return lit / (whole / scale).clamp(min=least.clamp(min=torch.finfo(lit.dtype).tiny))[cube]
 
 
 def pairs(

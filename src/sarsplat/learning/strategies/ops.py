@@ -68,17 +68,17 @@ def relocate(
     optimizers: Optimiser,
     state: State,
     idle: Int64[Tensor, " m"],
-    strong: Int64[Tensor, " m"],
+    joined: Int64[Tensor, " m"],
     generator: torch.Generator,
 ) -> Int64[Tensor, " n"]:
-    """Divide each strong Gaussian between itself and an idle one, which move in opposite directions.
+    """Divide each joined Gaussian between itself and an idle one, which move in opposite directions.
 
     The parameters must have `means`, `quaternions`, `scales` and `optical_depth`.
     """
-    offset = _inside(params, strong, generator)
+    offset = _inside(params, joined, generator)
     indices = torch.arange(len(params["means"]), device=offset.device)
-    source = indices.index_copy(0, idle, strong)
-    changed = torch.cat([idle, strong])
+    source = indices.index_copy(0, idle, joined)
+    changed = torch.cat([idle, joined])
     rearrange(
         params, optimizers, state, source, torch.ones_like(source, dtype=torch.bool).index_fill(0, changed, False)
     )
