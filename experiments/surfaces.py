@@ -27,7 +27,7 @@ SURFACES = Experiment(
     "Surfaces of any kind",
     "Clean images without ground unless said, 24 views (12 azimuths at 35 and 50°), images of 352 × 352 pixels of "
     "0.3 m, flat roofs 640 × 640; with the settings that `reconstruct` takes by itself. Points against the visible "
-    "surface. Settings were chosen by other scenes; the tanks, the ship and trees were looked at meanwhile, and hangars "
+    "surface. Settings were chosen by other scenes; the tanks, the ship and trees were seen meanwhile, and hangars "
     "with 4 looks helped to choose when the law is learned. Times are not of a quiet machine. The paper has no figures "
     "for these.",
     (
