@@ -203,7 +203,7 @@ class Config(AnyConfig):
     iterations: Count = 900
     views_per_step: Count = 4
     gaussians: Count | None = None
-    gaussians_per_cell: Positive = 42.0
+    gaussians_per_cell: Positive = 36.0
     fewest_gaussians: Count = 100
     coarsest: Count = 8
     tiles: Count = 1

@@ -99,7 +99,7 @@ class Target(Part):
             means = torch.from_numpy(imaged_sample(region, views, grid, n, generator)).float()
         else:
             n = config.gaussians or max(
-                config.fewest_gaussians, round(config.gaussians_per_cell * _cells(train) / self._levels.coarsest**1.5)
+                config.fewest_gaussians, round(config.gaussians_per_cell * _cells(train) / self._levels.coarsest**1.4)
             )
             means = torch.from_numpy(sample(region, n, generator)).float()
         quaternions, depth = random_quaternions(n, generator), means.new_full((n,), config.initial_optical_depth)
