@@ -174,7 +174,7 @@ def test_runs_keep_it_and_go_on_with_the_same_bits(mirrored: Dataset, tmp_path: 
 
 
 def test_samples_have_it(mirrored: Dataset) -> None:
-    run = reconstruct(mirrored, replace(BOUNCING, iterations=20, loss="speckle"), quiet=True)
+    run = reconstruct(mirrored, replace(BOUNCING, iterations=40, loss="speckle"), quiet=True)
     sample = np.abs(run.sample(VIEWS[0], seed=0, speckle="none")) ** 2
     assert np.allclose(sample, run.render(VIEWS[:1])[0], rtol=0.05, atol=1e-3 * sample.max())
     assert run.model is not None

@@ -238,10 +238,10 @@ def test_at_most_half_is_idle_and_nobody_joins_what_is_not_lit() -> None:
 
 def test_each_lit_cube_counts_alike_however_many_share_it() -> None:
     means = torch.tensor([[0.1, 0.1, 0.1]] * 4 + [[1.1, -2.0, 0.1]] + [[5.0, 5.0, 5.0]] * 2)
-    shares = shares_of_cubes(torch.tensor([3.0, 1.0, 0.0, 0.0, 2.0, 1e-3, 1e-3]), means, 1.0, 0.05)
+    shares = shares_of_cubes(torch.tensor([3.0, 1.0, 0.0, 0.0, 2.0, 1e-3, 1e-3]).double(), means, 1.0, 0.05)
     assert shares[:5].tolist() == [0.75, 0.25, 0.0, 0.0, 1.0]
     assert 0 < shares[5] == shares[6] < 0.05  # of a cube that is hardly lit
-    assert shares_of_cubes(torch.zeros(2), means[:2], 1.0, 0.05).tolist() == [0, 0]
+    assert shares_of_cubes(torch.zeros(2).double(), means[:2], 1.0, 0.05).tolist() == [0, 0]
 
 
 def test_a_round_keeps_the_number_and_about_the_power(dataset: Dataset) -> None:

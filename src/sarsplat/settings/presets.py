@@ -165,7 +165,7 @@ PRESETS: dict[str, Config] = {
         few_views=0.0,
         fine_from=1.0,
         rates=Rates(means=0.083, means_end=0.004, quaternions=0.0, log_optical_depth=0.08, scattering=0.05),
-        relocation=Relocation(rounds=4, idle_share=0.01, alike_from=10.0),
+        relocation=Relocation(rounds=4, idle_share=0.01),
         points=PointExtraction("centres", optical_depth=0.0, power_share=0.97, voxel=0.1, min_height=-1e6),
         passes=Passes(),
     ),

@@ -71,14 +71,15 @@ class Relocating(Configured):
 
     @torch.no_grad()
     def act(self, params: Params, optimizers: Optimiser, state: State, info: Info) -> None:
-        c = self._config
-        shares = shares_of_cubes(info.lit_areas(), params["means"], info.images.grid.cell_m, c.alike_from)
+        c, shares = self._config, info.lit_areas().double()
+        if info.model.levels.coarsest > 1:  # vehicles have no large surfaces that outshine others
+            shares = shares_of_cubes(shares, params["means"], info.images.grid.cell_m, c.alike_from)
         idle, joined = pairs(shares, c.idle_share, info.generator)
         ops.relocate(params, optimizers, state, idle, joined, info.generator)
 
 
 def shares_of_cubes(
-    lit: Float[Tensor, " n"], means: Float[Tensor, "n 3"], side_m: float, alike_from: float
+    lit: Float64[Tensor, " n"], means: Float[Tensor, "n 3"], side_m: float, alike_from: float
 ) -> Float64[Tensor, " n"]:
     """Share of each Gaussian in the lit area of its cube.
 
@@ -88,7 +89,7 @@ def shares_of_cubes(
     x, y, z = (cubes - cubes.amin(0)).unbind(1)
     _, cube = ((x * (y.max() + 1) + y) * (z.max() + 1) + z).unique(return_inverse=True)
     scale = exact_scale(lit[:, None])
-    whole = torch.zeros_like(cube).index_add_(0, cube, (lit.double() * scale).long())
+    whole = torch.zeros_like(cube).index_add_(0, cube, (lit * scale).long())
     least = alike_from * whole.sum() / whole.count_nonzero().clamp(min=1) / scale
     return lit / (whole / scale).clamp(min=least.clamp(min=torch.finfo(lit.dtype).tiny))[cube]
 
