@@ -182,7 +182,7 @@ SIGHT = np.array([1.0, 0.4, 0.6])
 TRUE_AXES = (np.array([0.0, 0.1, 1.0]), np.array([1.0, 0.2, 0.1]))
 TILTS_DEG, FASTER = (3.0, -2.5), (0.03, -0.03)
 FRAMES = 12
-SPINNING = replace(preset("quick"), iterations=80, gaussians=600, points=FEW_POINTS, checkpoint_every=41)
+SPINNING = replace(preset("quick"), iterations=120, gaussians=600, points=FEW_POINTS, checkpoint_every=61)
 
 
 @pytest.fixture(scope="module")
