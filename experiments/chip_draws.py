@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -146,10 +146,14 @@ def _imported(measured: Measured, draw: Draw, target: str, work: Path) -> Path:
 def _table_of(labels: Path, names: set[str], out: Path) -> Path:
     """The lines of a table that are about these chips."""
     with labels.open(newline="", encoding="utf-8") as file:
-        lines = csv.DictReader(file)
-        rows = [row for row in lines if row["path"] in names]
+        rows = [row for row in csv.DictReader(file) if row["path"] in names]
+    return write_table(rows, out)
+
+
+def write_table(rows: Sequence[Mapping[str, str]], out: Path) -> Path:
+    """Write rows of the same columns as CSV."""
     with out.open("w", newline="", encoding="utf-8") as file:
-        table = csv.DictWriter(file, lines.fieldnames or ())
+        table = csv.DictWriter(file, list(rows[0]))
         table.writeheader()
         table.writerows(rows)
     return out

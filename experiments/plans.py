@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from chip_draws import write_table
 from experiment import Experiment, Options, Row
 from finished import Finished
 from made_scenes import written
@@ -141,11 +142,7 @@ def drawn(labels: Path, dataset: Options, out: Path) -> Path:
         if row["path"] not in chosen:
             row["measured_depression_deg"] = row["measured_depression_deg"] or row["desired_depression_deg"]
             row["desired_depression_deg"] = _NOT_DRAWN
-    with out.open("w", newline="", encoding="utf-8") as file:
-        table = csv.DictWriter(file, list(rows[0]))
-        table.writeheader()
-        table.writerows(rows)
-    return out
+    return write_table(rows, out)
 
 
 def with_the_others(dataset: Dataset, options: Options) -> Dataset:

@@ -108,9 +108,9 @@ class Relocation(Record):
     until : float
         Time of the last round, as a share of all iterations.
     idle_share : float
-        Largest part of all shares held by idle Gaussians; those in a cube of a cell share 1 by lit area.
+        Share of all lit areas (the largest in any training view) that the idle Gaussians have together.
     alike_from : float
-        Lit area, relative to the lit cubes' mean, from which a cube's shares sum to 1; below in proportion, to less.
+        Lit area of a cube of a cell, relative to the mean, from which all count alike; only with blocks of pixels.
     """
 
     _section: ClassVar[str] = "relocation."
