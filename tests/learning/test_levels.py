@@ -17,8 +17,8 @@ from sarsplat.learning.method_sar_gs import lengths
 from sarsplat.learning.model import SceneModel
 from sarsplat.learning.parts.target import scales_m
 from sarsplat.learning.scene_frame import Levels, SceneFrame
-from sarsplat.learning.strategies import Info
-from sarsplat.learning.strategies.growth import holding
+from sarsplat.learning.strategies import Info, State
+from sarsplat.learning.strategies.growth import Growing, holding
 from sarsplat.learning.training_images import TrainingImages
 from sarsplat.renderer import render
 from sarsplat.settings.sections import Densification, Rates
@@ -143,19 +143,41 @@ def test_those_that_hold_most_of_the_error_are_the_fewest() -> None:
     assert not holding(torch.zeros(3), 0.9).any()
 
 
-def test_those_that_look_wrong_have_the_error(scene: Dataset, coarse: Config) -> None:
-    trainer = Trainer(scene, replace(coarse, gaussians=len(plates()), coarsest=1))
+def filled_with_plates(trainer: Trainer) -> dict[str, torch.Tensor]:
+    """Parameters of the trainer, which become those of the scene."""
     truth = replace(plates(), scattering=plates().scattering.times(1 / trainer.model.unit))
     parameters = trainer.model.parameters
     with torch.no_grad():
         for name, tensor in truth.tensors().items():
             parameters[name].copy_(tensor[:, :2] if name == "scattering" else tensor)  # the exponent is the usual one
-        parameters["scattering"][1] += 2.0
+    return parameters
+
+
+def info_of(trainer: Trainer) -> Info:
     _, rendering = trainer.model.render(trainer.views, GRID, 0)
-    info = Info(trainer.model, trainer.images, (0,), rendering, 0, trainer._rays, trainer._bounds, trainer._generator)
-    errors = info.errors()
+    return Info(trainer.model, trainer.images, (0,), rendering, 0, trainer._rays, trainer._bounds, trainer._generator)
+
+
+def test_those_that_look_wrong_have_the_error(scene: Dataset, coarse: Config) -> None:
+    trainer = Trainer(scene, replace(coarse, gaussians=len(plates()), coarsest=1))
+    filled_with_plates(trainer)["scattering"].detach()[1] += 2.0
+    errors = info_of(trainer).errors()
     assert float(errors[1] / errors.sum()) > 0.95
     assert holding(errors, 0.9).nonzero().tolist() == [[1]]
+
+
+@pytest.mark.parametrize(("loss", "left"), [("amplitude", 32), ("speckle", 62)])
+def test_gaussians_below_a_plate_are_removed_unless_there_is_speckle(scene, coarse, loss, left):
+    trainer = Trainer(scene, replace(coarse, loss=loss, iterations=16, gaussians=len(plates())))
+    parameters = filled_with_plates(trainer)
+    with torch.no_grad():
+        parameters["means"][2:32] = torch.tensor([-10.0, 0.0, -0.3])
+        parameters["optical_depth"][2:32] = 0.5
+    for step in (8, 9):  # of 16
+        Growing().step_post_backward(
+            parameters, trainer.optimiser, State(whole={"times": torch.tensor(9)}), step, info_of(trainer)
+        )
+    assert len(trainer.model) == left
 
 
 # ---- a scene that is larger or smaller in every length is learned alike ----------------------------------------------

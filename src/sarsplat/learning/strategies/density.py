@@ -33,10 +33,8 @@ class DensityControl(Configured):
 
     def initial_state(self, params: Params) -> State:
         """Sums of gradients over the views that lit a Gaussian, and the number of these views."""
-        count, device = len(params["means"]), params["means"].device
-        return State(
-            rows={name: torch.zeros(count, dtype=torch.float32, device=device) for name in ("gradient", "seen")}
-        )
+        zeros = params["means"].detach().new_zeros(len(params["means"]))
+        return State(rows={"gradient": zeros, "seen": zeros.clone()})
 
     def wants_plane_gradients(self, step: int) -> bool:
         return step <= self._config.stop
@@ -71,8 +69,7 @@ class DensityControl(Configured):
         """
         c = self._config
         size = gaussians.scales.max(dim=1).values
-        # isotropic part of the law
-        plain = replace(gaussians, scattering=gaussians.scattering.detailed(0))
+        plain = replace(gaussians, scattering=gaussians.scattering.detailed(0))  # isotropic part of the law
         scattering = plain.gamma0(gaussians.means.new_tensor([[0.0, 0.0, 1.0]]))[0]
         pruned = (scattering * -torch.expm1(-gaussians.optical_depth) < c.min_scattering) | (
             size > c.max_extent * grid.rows * grid.spacing_m[1]

@@ -1,4 +1,4 @@
-"""Growth and relocation: Gaussians are split where images of a finer level differ, and idle ones join others.
+"""Growth and relocation: Gaussians are split where finer images differ, hidden ones removed, and idle ones join others.
 
 If power decided, roofs would take the Gaussians of dimmer walls that share their pixels, until the walls are glass.
 """
@@ -19,12 +19,15 @@ from sarsplat.settings.config import Config
 from sarsplat.settings.sections import Relocation
 
 _SHARE = 0.9  # share of the images' error held by the Gaussians that are split; the others stay
+_CLEARED = 0.5625  # time of the removal, as a share of the iterations: surfaces still close during coarse levels
+_HIDDEN = 0.1  # lit area, relative to that of a Gaussian facing the radar alone, below which it is hidden
 
 
 class Growing(Configured):
     """Splits the Gaussians with most of the error, at the start of each finer level and halfway to the next.
 
-    Each split happens once, also if the training is extended and passes its levels again.
+    Each split happens once, also if the training is extended and passes its levels again. Without speckle, Gaussians
+    that hardly any light reaches are removed once: they shine through the surface in front, which bulges in return.
     """
 
     order = 15
@@ -39,11 +42,16 @@ class Growing(Configured):
         return State(whole={"times": torch.zeros((), dtype=torch.int64, device="cpu")}, added=("times",))
 
     def step_post_backward(self, params: Params, optimizers: Optimiser, state: State, step: int, info: Info) -> None:
-        before = info.model.levels.growths(step - 1)
-        if before < info.model.levels.growths(step) and before >= int(state.whole["times"]):
+        c, levels = info.model.config, info.model.levels
+        before = levels.growths(step - 1)
+        if before < levels.growths(step) and before >= int(state.whole["times"]):
             state.whole["times"] = state.whole["times"].new_tensor(before + 1)
             info.check()
             ops.split(params, optimizers, state, holding(info.errors(), _SHARE), info.generator)
+        if step == round(_CLEARED * c.iterations) and levels.coarsest > 1 and c.loss != "speckle":
+            info.check()
+            alone = 2 * torch.pi * params["scales"].topk(2).values.prod(1) * -torch.expm1(-params["optical_depth"])
+            ops.remove(params, optimizers, state, info.lit_areas() < _HIDDEN * alone)
 
 
 def holding(errors: Float[Tensor, " n"], share: float) -> Bool[Tensor, " n"]:
@@ -99,8 +107,7 @@ def pairs(
 ) -> tuple[Int64[Tensor, " m"], Int64[Tensor, " m"]]:
     """Indices of the idle Gaussians, and of the one that each joins; no index is in both.
 
-    Idle are those with the least shares, together at most `idle_share` of the sum. The probability to be joined is
-    proportional to the share.
+    Idle are those with the least shares, at most `idle_share` of the sum; others are joined in proportion to theirs.
     """
     order = shares.argsort(stable=True)
     held = running_sums(shares[order])

@@ -96,10 +96,7 @@ class Info:
 
     @torch.no_grad()
     def lit_areas(self) -> Float[Tensor, " n"]:
-        """Lit area of each of the target's Gaussians, m²: its maximum over the training views.
-
-        The mean would be small for Gaussians that only one view sees.
-        """
+        """Lit area of each of the target's Gaussians in the view that lights it best, m²."""
         views, largest = self.images.views, torch.zeros(len(self.model), dtype=torch.float32, device=self.model.device)
         for batch in self._batches(len(views)):
             _, rendering = self._rendered(views[batch], None)
