@@ -26,8 +26,8 @@ _HIDDEN = 0.1  # lit area, relative to that of a Gaussian facing the radar alone
 class Growing(Configured):
     """Splits the Gaussians with most of the error, at the start of each finer level and halfway to the next.
 
-    Each split happens once, also if the training is extended and passes its levels again. Without speckle, Gaussians
-    that hardly any light reaches are removed once: they shine through the surface in front, which bulges in return.
+    Each split happens once, also if the training is extended and passes its levels again. Without speckle, as many are
+    split once instead of those that hardly any light reaches: they shine through the surface in front, which bulges.
     """
 
     order = 15
@@ -51,7 +51,10 @@ class Growing(Configured):
         if step == round(_CLEARED * c.iterations) and levels.coarsest > 1 and c.loss != "speckle":
             info.check()
             alone = 2 * torch.pi * params["scales"].topk(2).values.prod(1) * -torch.expm1(-params["optical_depth"])
-            ops.remove(params, optimizers, state, info.lit_areas() < _HIDDEN * alone)
+            gone = info.lit_areas() < _HIDDEN * alone
+            worst = info.errors().masked_fill(gone, 0.0).argsort(descending=True, stable=True)[: int(gone.sum())]
+            again = torch.zeros_like(gone).index_fill(0, worst, True) & ~gone
+            ops.remove(params, optimizers, state, gone[ops.split(params, optimizers, state, again, info.generator)])
 
 
 def holding(errors: Float[Tensor, " n"], share: float) -> Bool[Tensor, " n"]:

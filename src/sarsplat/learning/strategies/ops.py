@@ -74,12 +74,10 @@ def relocate(
     The parameters must have `means`, `quaternions`, `scales` and `optical_depth`.
     """
     offset = _inside(params, joined, generator)
-    indices = torch.arange(len(params["means"]), device=offset.device)
-    source = indices.index_copy(0, idle, joined)
+    source = torch.arange(len(params["means"]), device=offset.device).index_copy(0, idle, joined)
     changed = torch.cat([idle, joined])
-    rearrange(
-        params, optimizers, state, source, torch.ones_like(source, dtype=torch.bool).index_fill(0, changed, False)
-    )
+    kept = torch.ones_like(source, dtype=torch.bool).index_fill(0, changed, False)
+    rearrange(params, optimizers, state, source, kept)
     with torch.no_grad():
         params["means"][changed] += torch.cat([offset, -offset])
         params["optical_depth"][changed] *= _RELOCATED_DEPTH
