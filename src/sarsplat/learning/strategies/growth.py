@@ -1,4 +1,4 @@
-"""Growth and relocation: Gaussians are split where finer images differ, hidden ones removed, and idle ones join others.
+"""Growth and relocation: Gaussians are split where images differ, hidden ones removed, and idle ones join others.
 
 If power decided, roofs would take the Gaussians of dimmer walls that share their pixels, until the walls are glass.
 """
@@ -26,8 +26,8 @@ _HIDDEN = 0.1  # lit area, relative to that of a Gaussian facing the radar alone
 class Growing(Configured):
     """Splits the Gaussians with most of the error, at the start of each finer level and halfway to the next.
 
-    Each split happens once, also if the training is extended and passes its levels again. Without speckle, as many are
-    split once instead of those that hardly any light reaches: they shine through the surface in front, which bulges.
+    Each split happens once, also if the training is extended and passes its levels again. Once, those
+    that hardly any light reaches are removed and as many others split: fog shines through surfaces, which then bulge.
     """
 
     order = 15
@@ -42,13 +42,13 @@ class Growing(Configured):
         return State(whole={"times": torch.zeros((), dtype=torch.int64, device="cpu")}, added=("times",))
 
     def step_post_backward(self, params: Params, optimizers: Optimiser, state: State, step: int, info: Info) -> None:
-        c, levels = info.model.config, info.model.levels
+        levels = info.model.levels
         before = levels.growths(step - 1)
         if before < levels.growths(step) and before >= int(state.whole["times"]):
             state.whole["times"] = state.whole["times"].new_tensor(before + 1)
             info.check()
             ops.split(params, optimizers, state, holding(info.errors(), _SHARE), info.generator)
-        if step == round(_CLEARED * c.iterations) and levels.coarsest > 1 and c.loss != "speckle":
+        if step == round(_CLEARED * levels.iterations) and levels.coarsest > 1:
             info.check()
             alone = 2 * torch.pi * params["scales"].topk(2).values.prod(1) * -torch.expm1(-params["optical_depth"])
             gone = info.lit_areas() < _HIDDEN * alone
