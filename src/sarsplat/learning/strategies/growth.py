@@ -20,7 +20,7 @@ from sarsplat.settings.sections import Relocation
 
 _SHARE = 0.9  # share of the images' error held by the Gaussians that are split; the others stay
 _CLEARED = 0.5625  # time of the removal, as a share of the iterations: surfaces still close during coarse levels
-_HIDDEN = 0.1  # lit area, relative to that of a Gaussian facing the radar alone, below which it is hidden
+_HIDDEN = 0.1  # lit area, relative to about that of the Gaussian alone, facing the radar, below which it is hidden
 
 
 class Growing(Configured):
@@ -48,7 +48,8 @@ class Growing(Configured):
             state.whole["times"] = state.whole["times"].new_tensor(before + 1)
             info.check()
             ops.split(params, optimizers, state, holding(info.errors(), _SHARE), info.generator)
-        if step == round(_CLEARED * levels.iterations) and levels.coarsest > 1:
+        fog_stays = levels.coarsest > 1 and info.model.config.relocation.alike_from < 1  # as its cubes count alike
+        if fog_stays and step == round(_CLEARED * levels.iterations):
             info.check()
             alone = 2 * torch.pi * params["scales"].topk(2).values.prod(1) * -torch.expm1(-params["optical_depth"])
             gone = info.lit_areas() < _HIDDEN * alone

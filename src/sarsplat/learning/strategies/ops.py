@@ -13,7 +13,6 @@ from sarsplat.learning.optimiser import Optimiser
 from sarsplat.learning.strategies.strategy import Params, State
 
 _SPLIT_SHRINK = 1.6  # ratio of a Gaussian's widths to those of its two parts after a split
-
 _RELOCATED_DEPTH = 0.6  # factor on both optical depths; .5 and .7 were worse (docs/lab/2026-11-clean-surfaces.md)
 _TOTAL = 2.0**61  # total of the integers that represent values in `whole_sums`
 
