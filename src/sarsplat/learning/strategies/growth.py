@@ -19,15 +19,15 @@ from sarsplat.settings.config import Config
 from sarsplat.settings.sections import Relocation
 
 _SHARE = 0.9  # share of the images' error held by the Gaussians that are split; the others stay
-_CLEARED = 0.5625  # time of the removal, as a share of the iterations: surfaces still close during coarse levels
-_HIDDEN = 0.1  # lit area, relative to about that of the Gaussian alone, facing the radar, below which it is hidden
+_CLEARED = 0.5625  # time of the removal, as a share of the iterations; coarse levels go on, so that surfaces recover
+_HIDDEN = 0.1  # lit area / (2π s₁ s₂ (1 − e^−κ)), about that of a Gaussian alone, below which it counts as hidden
 
 
 class Growing(Configured):
     """Splits the Gaussians with most of the error, at the start of each finer level and halfway to the next.
 
-    Each split happens once, also if the training is extended and passes its levels again. Once, those
-    that hardly any light reaches are removed and as many others split: fog shines through surfaces, which then bulge.
+    Each split happens once, also if the training is extended and passes its levels again. At 9/16 of
+    the iterations, hidden ones are removed and as many others split: fog shines through surfaces, which then bulge.
     """
 
     order = 15
@@ -48,7 +48,7 @@ class Growing(Configured):
             state.whole["times"] = state.whole["times"].new_tensor(before + 1)
             info.check()
             ops.split(params, optimizers, state, holding(info.errors(), _SHARE), info.generator)
-        fog_stays = levels.coarsest > 1 and info.model.config.relocation.alike_from < 1  # as its cubes count alike
+        fog_stays = levels.coarsest > 1 and info.model.config.relocation.alike_from < 1  # its cubes attract like others
         if fog_stays and step == round(_CLEARED * levels.iterations):
             info.check()
             alone = 2 * torch.pi * params["scales"].topk(2).values.prod(1) * -torch.expm1(-params["optical_depth"])
