@@ -82,7 +82,7 @@ def b_of(table: CsvTable) -> float:
 
 
 TABLES: Refusals = [
-    (table(b""), "has no rows"),
+    *((table(text), "has no rows") for text in (b"", b"a,b\n")),
     (table(b"a,a\n1,2\n"), "the column 'a' twice"),
     (table(b"a,b\n1,2,3\n"), "line 2: there are 3 cells for 2 columns"),
     (table(b"\xff\xfea"), "not a readable CSV"),
@@ -115,6 +115,7 @@ PHASES = tiny_dataset(SIGNALS)
 _FIRST, _OTHER = (SarImage(NOISE[0], VIEW, grid) for grid in (TINY, replace(TINY, center_m=(0, 0))))
 SETS: Refusals = [
     (lambda _: replace(PHASES, power=2 * PHASES.power), "not the squared magnitude of its signal"),
+    (lambda _: SarImage(PHASES.power[0], VIEW, TINY, SIGNALS[1]), "not the squared magnitude of its signal"),
     (lambda _: SarImage.of_complex(np.ones((6, 5)), VIEW, TINY), "of type float64; give an array of complex"),
     (lambda _: SarImage.of_complex(np.full((6, 5), 1e30 + 0j), VIEW, TINY), r"holds inf at \(0, 0\)"),
     (lambda _: Dataset.from_images([PHASES[0], PHASES[1], _FIRST]), "2 of 3 images have their phase"),
@@ -148,7 +149,7 @@ WRITTEN: Refusals = [
     (write(-NOISE), "finite and ≥ 0"),
     (write(views=[(view, "test") for view, _ in VIEWS]), "nothing to train on"),
     (write(views=[(view, "validation") for view, _ in VIEWS]), "'validation'"),
-    (write(source={"x": float("nan")}), "JSON"),
+    *((write(source={"x": value}), "JSON") for value in (float("nan"), object())),
     (write(calibration="dreamt"), "'dreamt'"),
     (write(looks=0), "looks 0 must be a positive number"),
     (write(clean_tests=True), "looks is None"),
@@ -189,6 +190,7 @@ HEADERS: Refusals = [
     (header("schema_version", 1), "its schema_version is 1 but this program reads 2"),
     (header("quantity", "sigma0"), "quantity is 'sigma0'"),
     (header("pixels", "complex"), "holds float32 pixels"),
+    (header("looks", -1.0), "looks -1.0"),
     (header("domain", "rendered"), "unknown field 'domain'"),
     (header("grid.rows", 6.0), "grid.rows is 6.0: expected 'int', got 'float'"),
     (header("grid.rows", 7), "shape|too few"),
@@ -198,6 +200,7 @@ HEADERS: Refusals = [
     (header("grid.\x1b[2J", 1), "unknown field '.\\[2J'"),
     (header("truth_mesh", "../x.ply"), "is not inside"),
     (header("truth_mesh", "none.ply"), r"none\.ply: it does not exist"),
+    (header("truth_mesh", "x" * 300), r"cannot read .*name is too long"),
     (header("views.1.azimuth_deg", "north"), r"views\[1\].azimuth_deg is 'north': expected 'float', got 'str'"),
     (header("views.1.azimuth_std_deg", -1), "azimuth_std_deg -1.0 of the image '001' is not"),
     (header("views.1.stretch", 1.1), r"views\[1\]: only images of a target aloft"),
@@ -232,6 +235,7 @@ FOLDERS: Refusals = [
     (touched("metrics.jsonl", read_dataset), "looks like a run"),
     (stored(b"{}", read_dataset, "dataset.json"), "is a file, not a folder"),
     (altered(lambda folder: linked(folder, "../../elsewhere.tif")), "is not inside"),
+    (altered(lambda folder: linked(folder, "001.tif")), "same image file"),
     (altered(lambda folder: (folder / "terrain.tif").unlink(), ground=True, terrain=hill()), r"terrain\.tif"),
     (image(NOISE[0].astype(np.float64)), "float64"),
     (image(-NOISE[0]), "finite and ≥ 0"),
@@ -265,7 +269,7 @@ def named(*names: str, **fields: Any) -> Dataset:
 MASKS: Refusals = [
     (masks(np.zeros((16, 13), np.uint8)), "16 × 13 pixels"),
     (masks(np.full((16, 12), 127, np.uint8)), "holds the number 127"),
-    (masks(np.zeros((16, 12, 3), np.uint8)), "is not a readable grey"),
+    *((masks(pixels), "is not a readable grey") for pixels in (np.zeros((16, 12, 3), np.uint8), b"")),
     *(
         (masks(np.zeros(size, np.uint8), "b.png", named("a", "b", "c", source=source)), "pixels, its image 16 × 12")
         for size, source in (
@@ -310,6 +314,7 @@ TERRAIN: Refusals = [
     (heights(keys=DEGREES), "measured north in units called"),
     (heights(keys=(1, 1, 0, 2, 1024, 0, 1, 1, 3072, 0, 1, 2263)), "measured east in units called US survey foot"),
     *((heights(keys=(*UNKNOWN, key, 0, 1, 9002)), "another unit than metres .EPSG 9002") for key in (3076, 4099)),
+    (heights(keys=(*UNKNOWN, 3076, 0, 1, 32767), extra=[(34736, "d", 1, (0.3,), True)]), "another unit than metres"),
     (heights(scale=None), "no pixel size"),
     (heights(np.where(HEIGHTS == 5, np.nan, HEIGHTS)), "1 unknown height of 12, within rows 2 to 2 and columns 2 to 2"),
     (heights(extra=[(42113, "s", 0, "6", True)]), "1 unknown height of 12"),

@@ -54,6 +54,7 @@ PLAIN, CLASSES = "file,azimuth,grazing", [[f"{k}.npy", 90 * k, 30, "tank" if k <
 FOLDER: Refusals = [
     (table("shot,heading,x", spacing_m=None), "the file or the azimuth or the grazing or the spacing; .*grazing_deg"),
     (table(PLAIN, columns={"az": "azimut"}), r"no column 'azimut'; did you mean azimuth\?"),
+    (table(PLAIN, columns={"azimut": "x"}), r"can be a 'azimut'; did you mean azimuth\?"),
     (table(PLAIN, spacing_m=(0.1, -1)), "pixel spacing"),
     (table(PLAIN, near="north"), "near is 'north'"),
     (table("file,azimuth,split", grazing_deg=3), "line 2: split is '30'; it must be one of train"),
@@ -94,6 +95,7 @@ IMAGES: Refusals = [
     *((images({}, {}, train_views=n), f"{n} training views? asked for, but there are 2 images") for n in (0, 3)),
     (images({}, {"split": "test-17"}, train_views=2), "the images name their sets"),
     (images({"pixels": np.ones((4, 4), np.uint8)}), "holds uint8 of shape .4, 4.; give complex amplitudes, or power"),
+    (images({"pixels": np.ones((2, 4, 4), np.complex64)}), "0.img holds complex64 of shape .2, 4, 4.; give complex"),
 ]
 
 
@@ -153,10 +155,11 @@ MSTAR: Refusals = [
     (chips(target_class="T80"), r"no class 'T80' in .*labels\.csv; it has BMP2, T72"),
     (chips(lambda folder: (folder / "T72").rename(folder / "T73")), "has none of 10 chips in"),
     (chips(lambda folder: (folder / "labels.csv").write_text("path,class\na,T72\n")), "is missing the columns 'serial"),
-    (row("17.1,north"), "line 2: target_az_deg is 'north'"),
+    *((row(f"17.1,{cell}"), f"line 2: target_az_deg is {it}") for cell, it in (("north", "'north'"), ("", "empty"))),
     (row("17.1,3,south", "near_side"), "near_side is 'south'; it must be one of top, right, bottom, left"),
     (row("95,3"), "T72/chip000.jpeg: grazing angle 95"),
     (chips(sixteen_bits), r"chip003\.jpeg holds u?int.* chips are 8-bit grey"),
+    (chips(lambda folder: [Image.new("L", (16, 16)).save(chip) for chip in folder.rglob("*.jpeg")]), "all 4 .* black"),
     (originals(0), "all 4 training chips are black"),
     (originals(target_class="T80"), r"no class 'T80' in .*; it has bmp2_tank, t72_tank"),
     (originals(second=phoenix_bytes(RadarPosition="top")), "RadarPosition= 'top'"),
@@ -275,6 +278,7 @@ HISTORY: Refusals = [
     (history(spacing_m=0.0), "makes 0 × 0 pixels of"),
     *((history(size_m=size), f"the size {size} m must be positive") for size in (math.nan, math.inf, -1)),
     *((history(aperture_deg=width), f"{width}° must be above 0°, at most 60°, and within") for width in (0, 9, 61)),
+    (history(aperture_deg=5e-324), "holds [01] of 20 pulses; give a larger"),
     (history(train_views=2), "2 training views asked for, but there are 1 image"),
     (history(times=2), r"a\.mat is given twice; give each file once"),
     (
@@ -304,10 +308,11 @@ def matrices(**variables: np.ndarray) -> Do:
 PIXELS: Refusals = [
     (quantity(np.where(REAL[1, 2] == REAL, np.nan, REAL), "amplitude"), r"holds nan at \(1, 2\)"),
     (quantity(COMPLEX.astype(complex) * 1e300, "complex"), "as complex"),
+    (quantity(np.resize([1e300, -1e300, -1e300], (3, 4, 2)), "complex"), "as complex"),
     (quantity(REAL, "power", scale=math.nan), r"at \(0, 0\), times nan plus 0, as power"),
     *((quantity(REAL * 0 - 18.5, name), r"holds -18\.5 .*quantity='db'") for name in ("amplitude", "power")),
     (quantity(np.full((2, 2), 6119, np.uint16), "db"), "holds 6119 .* as db; no decibels are that large"),
-    (picture(np.stack([EIGHT, ALPHA], axis=-1)), "masks 2 of its 12"),
+    *((picture(np.stack([*grey, ALPHA], axis=-1)), "masks 2 of its 12") for grey in ([EIGHT], [EIGHT] * 3)),
     (picture(np.where(ALPHA, EIGHT, 7).astype(np.uint8), transparency=7), "masks 2 of its 12"),
     (picture(np.stack([EIGHT, ALPHA], axis=-1), "a.tif"), "masks 2 of its 12 pixels"),
     (picture(np.stack([EIGHT, EIGHT, 255 - EIGHT], axis=-1)), "picture in colour"),

@@ -143,39 +143,25 @@ def test_those_that_hold_most_of_the_error_are_the_fewest() -> None:
     assert not holding(torch.zeros(3), 0.9).any()
 
 
-def filled_with_plates(trainer: Trainer) -> dict[str, torch.Tensor]:
-    """Parameters of the trainer, which become those of the scene."""
+def test_those_that_look_wrong_have_the_error_and_are_split_instead_of_hidden_ones(
+    scene: Dataset, coarse: Config
+) -> None:
+    trainer = Trainer(scene, replace(coarse, iterations=16, gaussians=len(plates())))
     truth = replace(plates(), scattering=plates().scattering.times(1 / trainer.model.unit))
-    parameters = trainer.model.parameters
+    parameters, below = trainer.model.parameters, torch.tensor([-10.0, 0.0, -0.3])
     with torch.no_grad():
         for name, tensor in truth.tensors().items():
             parameters[name].copy_(tensor[:, :2] if name == "scattering" else tensor)  # the exponent is the usual one
-    return parameters
-
-
-def info_of(trainer: Trainer) -> Info:
+        parameters["scattering"][1] += 2.0
     _, rendering = trainer.model.render(trainer.views, GRID, 0)
-    return Info(trainer.model, trainer.images, (0,), rendering, 0, trainer._rays, trainer._bounds, trainer._generator)
-
-
-def test_those_that_look_wrong_have_the_error(scene: Dataset, coarse: Config) -> None:
-    trainer = Trainer(scene, replace(coarse, gaussians=len(plates()), coarsest=1))
-    filled_with_plates(trainer)["scattering"].detach()[1] += 2.0
-    errors = info_of(trainer).errors()
+    info = Info(trainer.model, trainer.images, (0,), rendering, 0, trainer._rays, trainer._bounds, trainer._generator)
+    errors = info.errors()
     assert float(errors[1] / errors.sum()) > 0.95
     assert holding(errors, 0.9).nonzero().tolist() == [[1]]
-
-
-def test_others_are_split_instead_of_gaussians_below_a_plate(scene: Dataset, coarse: Config) -> None:
-    trainer = Trainer(scene, replace(coarse, iterations=16, gaussians=len(plates())))
-    parameters = filled_with_plates(trainer)
-    with torch.no_grad():
-        parameters["means"][2:32] = torch.tensor([-10.0, 0.0, -0.3])
-        parameters["optical_depth"][2:32] = 0.5
-    state = State(whole={"times": torch.tensor(9)})
-    Growing().step_post_backward(parameters, trainer.optimiser, state, 9, info_of(trainer))
-    below = (trainer.model.parameters["means"] == torch.tensor([-10.0, 0.0, -0.3])).all(1)
-    assert (int(below.sum()), len(trainer.model)) == (0, 62)
+    parameters["means"].detach()[2:32], parameters["optical_depth"].detach()[2:32] = below, 0.5
+    Growing().step_post_backward(parameters, trainer.optimiser, State(whole={"times": torch.tensor(9)}), 9, info)
+    assert not (parameters["means"] == below).all(1).any()
+    assert len(trainer.model) == 62  # as before
 
 
 # ---- a scene that is larger or smaller in every length is learned alike ----------------------------------------------

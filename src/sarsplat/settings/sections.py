@@ -110,7 +110,7 @@ class Relocation(Record):
     idle_share : float
         Share of all lit areas (the largest in any training view) that the idle Gaussians have together.
     alike_from : float
-        Lit area of a cube of a cell, relative to the mean, from which all count alike; only with blocks of pixels.
+        Relative lit area of a cell's cube from which all count alike; below 1, hidden ones go. With pixel blocks only.
     """
 
     _section: ClassVar[str] = "relocation."

@@ -26,8 +26,8 @@ _HIDDEN = 0.1  # lit area / (2π s₁ s₂ (1 − e^−κ)), about that of a Gau
 class Growing(Configured):
     """Splits the Gaussians with most of the error, at the start of each finer level and halfway to the next.
 
-    Each split happens once, also if the training is extended and passes its levels again. At 9/16 of
-    the iterations, hidden ones are removed and as many others split: fog shines through surfaces, which then bulge.
+    Each split happens once, also if the training is extended and passes its levels again. At 9/16 of the iterations
+    hidden ones are removed, and at most as many others split: fog shines through surfaces, which then bulge.
     """
 
     order = 15
