@@ -194,7 +194,7 @@ class PointExtraction(Record):
     _section: ClassVar[str] = "points."
 
     method: Literal["rays", "centres"] = "rays"
-    optical_depth: Annotated[float, Meta(ge=0, le=40)] = 0.7
+    optical_depth: Annotated[float, Meta(ge=0, le=40)] = 0.5
     power_share: Share = 1.0
     voxel: Positive = 0.05
     min_height: Number = 0.0
