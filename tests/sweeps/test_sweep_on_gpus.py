@@ -23,7 +23,7 @@ import torch
 
 from sarsplat import SarsplatError, SarsplatWarning, Trainer, sweep
 from sarsplat.executors import Means, executor_local, executor_ray
-from sarsplat.executors.executor_local import Answers, Worker, serve
+from sarsplat.executors.executor_local import Worker, serve
 from sarsplat.sweeps.cell import Cell, cells_of
 from sarsplat.sweeps.plan import Plan
 from sarsplat.sweeps.work import RUN, Row, caught, do, row_of, row_path
@@ -233,11 +233,7 @@ def served(cells: list[Cell], monkeypatch: pytest.MonkeyPatch) -> Callable[..., 
 
     def run(do: Callable[..., Any], threads: int, synchronize: Callable[[], None]) -> list[Any]:
         asked: SimpleQueue[bytes] = SimpleQueue()
-        said = []
-
-        class Said(Answers):
-            def put(self, answer: Any) -> None:
-                said.append(answer)
+        said: list[Any] = []
 
         def ended(code: int) -> None:
             raise Ended(code)
@@ -261,7 +257,7 @@ def served(cells: list[Cell], monkeypatch: pytest.MonkeyPatch) -> Callable[..., 
 
         def one() -> None:
             with suppress(Ended, msgspec.ValidationError):
-                serve(kind, asked, Said(None), Path(), False)
+                serve(kind, asked, lambda job, _: said.append(job), Path(), False)
 
         with ThreadPoolExecutor(threads) as pool:
             for _ in range(threads):
@@ -284,7 +280,7 @@ def test_every_thread_has_a_stream_of_its_own(cells, served):
 
     said = served(do, len(cells), lambda: None)
     assert len(streams) == len(cells)
-    assert {address for address, _ in said} == {on_gpu(cell).address for cell in cells}
+    assert {job.address for job in said} == {on_gpu(cell).address for cell in cells}
 
 
 def test_a_process_whose_gpu_has_failed_answers_and_ends(cells, served):

@@ -8,12 +8,12 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
-from contextlib import nullcontext, suppress
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any, BinaryIO
+from typing import Any
 
 import msgspec
 import torch
@@ -31,60 +31,48 @@ _SIGNALS = {one.value: one.name for one in signal.Signals}
 
 _BROKEN_GPU = 75  # exit code of a worker whose GPU has failed
 
-Answer = tuple[str, Any]
-"""Address of a job and its result, or None if another process is doing the job."""
-
-
-class Team:
-    """Pool of workers, each with `at_a_time` slots for jobs."""
-
-    def __init__(self, workers: "Sequence[Worker]", at_a_time: int = 1) -> None:
-        self._workers = workers
-        self._free: SimpleQueue[Worker] = SimpleQueue()
-        for worker in [*workers] * at_a_time:  # every GPU gets one before any gets two
-            self._free.put(worker)
-        self._pool = ThreadPoolExecutor(len(workers) * at_a_time)
-
-    def submit(self, jobs: Sequence[J]) -> dict[Future[Any], J]:
-        """Queue jobs for the next free slots."""
-        return {self._pool.submit(self._one, job): job for job in jobs}
-
-    def _one(self, job: Job) -> Any:
-        worker = self._free.get()
-        try:
-            return worker.ask(job)
-        finally:
-            self._free.put(worker)
-
-    def end(self) -> None:
-        """Kill all workers and wait for their end."""
-        for worker in self._workers:
-            worker.kill()
-        self._pool.shutdown(cancel_futures=True)
-        for worker in self._workers:
-            worker.close()
-
 
 def run(jobs: Sequence[J], out: Path, means: Means) -> Iterator[tuple[J, Any]]:
     """Do jobs on this machine (see `Executor`), by default one per processor and up to four per GPU."""
-    teams: list[Team] = []
     jobs_by_future: dict[Future[Any], J] = {}
-    try:
+    with ExitStack() as stack:
         if on_cpu := [job for job in jobs if job.device != "cuda"]:
             count = min(means.processes or _processors(), len(on_cpu))
-            teams.append(Team([Worker(jobs[0].work, out, means.again) for _ in range(count)]))
-            jobs_by_future |= teams[-1].submit(on_cpu)
+            workers = [Worker(jobs[0].work, out, means.again) for _ in range(count)]
+            jobs_by_future |= stack.enter_context(_asked(on_cpu, workers))
         if on_gpu := [job for job in jobs if job.device == "cuda"]:
             gpus = _gpus()[: len(on_gpu)]
             at_a_time = means.per_device or min(_MAX_PER_DEVICE, max(1, _processors() // len(gpus)))
             at_a_time = min(at_a_time, -(-len(on_gpu) // len(gpus)))
-            teams.append(Team([Worker(jobs[0].work, out, means.again, at_a_time, gpu) for gpu in gpus], at_a_time))
-            jobs_by_future |= teams[-1].submit(on_gpu)
+            workers = [Worker(jobs[0].work, out, means.again, at_a_time, gpu) for gpu in gpus]
+            jobs_by_future |= stack.enter_context(_asked(on_gpu, workers, at_a_time))
         for future in as_completed(jobs_by_future):
             yield jobs_by_future[future], future.result()
+
+
+@contextmanager
+def _asked(jobs: Sequence[J], workers: "Sequence[Worker]", at_a_time: int = 1) -> Iterator[dict[Future[Any], J]]:
+    """Ask workers, each for `at_a_time` jobs at a time; yield the results to come. Workers are killed at the end."""
+    free: SimpleQueue[Worker] = SimpleQueue()
+    for worker in [*workers] * at_a_time:  # every GPU gets a job before any gets two
+        free.put(worker)
+
+    def ask(job: Job) -> Any:
+        worker = free.get()
+        try:
+            return worker.ask(job)
+        finally:
+            free.put(worker)
+
+    pool = ThreadPoolExecutor(len(workers) * at_a_time)
+    try:
+        yield {pool.submit(ask, job): job for job in jobs}
     finally:
-        for team in teams:
-            team.end()
+        for worker in workers:
+            worker.kill()
+        pool.shutdown(cancel_futures=True)
+        for worker in workers:
+            worker.close()
 
 
 def _processors() -> int:
@@ -197,29 +185,23 @@ def _reason(job: Job, code: int, go_on: str) -> str:
 
 # ---- the process ----
 def work(kind: Work, out: Path, again: bool, at_a_time: int) -> None:
-    """Do the jobs on stdin, `at_a_time` at once, until it closes."""
-    answers = Answers(os.fdopen(os.dup(1), "wb"))
+    """Do the jobs on stdin, `at_a_time` at once, until it closes; answer on stdout, a line for each."""
+    file, lock = os.fdopen(os.dup(1), "wb"), threading.Lock()
     os.dup2(2, 1)  # prints go to stderr
+
+    def answer(job: Job, result: Any) -> None:
+        with lock:
+            file.write(msgspec.json.encode((job.address, result)) + b"\n")
+            file.flush()
+
     asked: SimpleQueue[bytes] = SimpleQueue()
     threading.Thread(target=_listen, args=(asked,), daemon=True).start()
     for _ in range(at_a_time - 1):
-        threading.Thread(target=serve, args=(kind, asked, answers, out, again), daemon=True).start()
-    serve(kind, asked, answers, out, again)
+        threading.Thread(target=serve, args=(kind, asked, answer, out, again), daemon=True).start()
+    serve(kind, asked, answer, out, again)
 
 
-class Answers:
-    """Thread-safe output of answers, one per line."""
-
-    def __init__(self, file: BinaryIO) -> None:
-        self._file, self._lock = file, threading.Lock()
-
-    def put(self, answer: Answer) -> None:
-        with self._lock:
-            self._file.write(msgspec.json.encode(answer) + b"\n")
-            self._file.flush()
-
-
-def serve(kind: Work, asked: SimpleQueue[bytes], answers: Answers, out: Path, again: bool) -> None:
+def serve(kind: Work, asked: SimpleQueue[bytes], answer: Callable[[Job, Any], None], out: Path, again: bool) -> None:
     """Do queued jobs one after the other; on a GPU, in a separate CUDA stream per thread."""
     stream = None
     while True:
@@ -228,7 +210,7 @@ def serve(kind: Work, asked: SimpleQueue[bytes], answers: Answers, out: Path, ag
         if on_gpu and stream is None:
             stream = torch.cuda.Stream()
         with torch.cuda.stream(stream) if on_gpu else nullcontext():
-            answers.put((job.address, kind.do(job, out, again)))
+            answer(job, kind.do(job, out, again))
         if stream is not None:
             try:
                 stream.synchronize()
