@@ -278,3 +278,4 @@ def test_doctor_knows_what_is_installed(said) -> None:
     assert re.search(r"cuda +(not usable: the CUDA engine needs|not usable: torch|\S.* by NVRTC \d)", told)
     assert "trimesh" in told
     assert "SARSPLAT_LPIPS_WEIGHTS" in told
+    assert said("--version").startswith("sarsplat ")

@@ -6,10 +6,9 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Iterable, Iterator
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 import pytest
 
@@ -29,9 +28,13 @@ def test_the_overview_has_the_help_of_every_command(
 ) -> None:
     monkeypatch.setenv("COLUMNS", "200")
     for words, names in (([], COMMANDS), (["import"], IMPORTERS)):
-        with pytest.raises(SystemExit):
-            main([*words, "--help"])
-        shown = re.findall(r"^│ ([\w-]+)  +(\S.*?) *│$", capsys.readouterr().out, re.MULTILINE)
+        with pytest.raises(SystemExit) as end:
+            main([*words, "--help"] if words else [])
+        assert end.value.code in (0, None)
+        told = capsys.readouterr().out
+        assert told.startswith(" ".join(["usage: sarsplat", *words, "[-h]"]))
+        assert ("`sarsplat --version`" in told) == (not words)
+        shown = re.findall(r"^│ ([\w-]+)  +(\S.*?) *│$", told, re.MULTILINE)
         assert [name for name, _ in shown] == list(names)
         for name, text in shown:
             with pytest.raises(SystemExit):
@@ -46,17 +49,6 @@ def test_an_import_has_an_option_for_everything_that_its_function_takes(name: st
     options = inspect.signature(IMPORTERS[name.removeprefix("import_").replace("_", "-")]).parameters
     assert options.keys() == taken.keys() - {"about", "quiet"} | about.__annotations__.keys()
     assert all(one.annotation.__metadata__[-1].help for one in options.values())
-
-
-def test_help_without_a_command_names_the_version_option_too(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as end:
-        main([])
-    assert end.value.code in (0, None)
-    told = capsys.readouterr().out
-    assert "usage: sarsplat [-h]" in told
-    assert "`sarsplat --version`" in told
-    assert main(["--version"]) == 0
-    assert capsys.readouterr().out.startswith("sarsplat ")
 
 
 def test_the_package_is_a_program_of_the_same_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -154,35 +146,23 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-HELP = ["info --help", "simulate --help", "import mstar --help", "reconstruct --help"]
-"""Commands that import the same."""
-
-
-def begun(commands: Iterable[str], folder: Path) -> Iterator[tuple[str, list[Any]]]:
-    """Commands, in one process, each with its exit code, what it imported, and what it said."""
-    lines = python("-c", BEGUN, *commands, cwd=folder).stdout.splitlines()
-    return zip(commands, map(json.loads, lines), strict=True)
-
-
-@pytest.mark.parametrize(("commands", "imported"), [(["--help"], []), (HELP, ["tyro"])], ids=["all", "one"])
-def test_help_imports_nothing_heavy(commands: list[str], imported: list[str], tmp_path: Path) -> None:
-    for words, (*ended, shown) in begun(commands, tmp_path):
-        assert ended == [0, imported], words
-        assert shown.startswith(f"usage: sarsplat {words.removesuffix('--help')}[-h]")
-
-
-INFO = {
-    "info dataset": (0, "a dataset of 3 images"),
-    "info run": (0, "learned     1 Gaussian"),
-    "info run/points.ply": (0, "other columns  nx, ny, nz"),
-    "info file.unknown": (2, ""),
+OF_COMMANDS = {words: f"usage: sarsplat {words} [-h]" for words in ("info", "simulate", "import mstar", "reconstruct")}
+LIGHT = {
+    "--help": (0, [], "usage: sarsplat [-h]"),
+    **{f"{words} --help": (0, ["tyro"], told) for words, told in OF_COMMANDS.items()},
+    "info dataset": (0, ["numpy", "tyro"], "a dataset of 3 images"),
+    "info run": (0, ["numpy", "tyro"], "learned     1 Gaussian"),
+    "info run/points.ply": (0, ["numpy", "tyro"], "other columns  nx, ny, nz"),
+    "info file.unknown": (2, ["numpy", "tyro"], ""),
 }
+"""Commands, one after the other in one process: exit code, what is imported by then, and what is said."""
 
 
-def test_info_imports_nothing_heavy(places: Path) -> None:
-    for words, (*ended, shown) in begun(INFO, places):
-        code, told = INFO[words]
-        assert ended == [code, ["numpy", "tyro"]], words
+def test_help_and_info_import_nothing_heavy(places: Path) -> None:
+    lines = python("-c", BEGUN, *LIGHT, cwd=places).stdout.splitlines()
+    for (words, (code, imported, told)), line in zip(LIGHT.items(), lines, strict=True):
+        *ended, shown = json.loads(line)
+        assert ended == [code, imported], words
         assert told in shown
 
 

@@ -9,8 +9,7 @@ import sys
 import threading
 import time
 import urllib.request
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,10 +18,10 @@ import tifffile
 import torch
 
 from made import dataset_of, small_dataset, upright
-from made_runs import GRID, made_up
+from made_runs import made_up
 from sarsplat import ImageGrid, SarsplatError, View, read_points_ply, write_dataset, write_gaussians_ply
 from sarsplat.cli import main
-from sarsplat.gaussians import Gaussians, Harmonics
+from sarsplat.gaussians import Gaussians
 from sarsplat.importers.pictures import read_pixels
 from sarsplat.samples import write
 from sarsplat.samples.write import Made
@@ -77,15 +76,6 @@ def test_what_is_refused_leaves_nothing(runs: str, refused: Command, tmp_path: P
     assert not list(tmp_path.iterdir())
 
 
-def test_runs_that_cannot_be_drawn_from(runs: str, refused: Command, tmp_path: Path) -> None:
-    out = tmp_path / "set"
-    other = made_up("other", tmp_path / "other", replace(GRID, rows=30)).folder
-    assert "cut all to one size, by a crop of at most 30" in refused(f"chips {runs} {other} --out {out}")
-    (out / "mine").mkdir(parents=True)
-    assert "already exists" in refused(f"chips {runs} --out {out}")
-    assert "contains no chips.json, so it will not be replaced" in refused(f"chips {runs} --out {out} --overwrite")
-
-
 def test_stopped_it_says_how_to_go_on(runs, said, refused, tmp_path, capsys, monkeypatch):
     out = tmp_path / "set"
 
@@ -102,15 +92,22 @@ def test_stopped_it_says_how_to_go_on(runs, said, refused, tmp_path, capsys, mon
     assert "or pass --overwrite to begin anew" in other
     said(f"chips {runs} --out {out} --count 1")
     assert [path.name for path in tmp_path.iterdir()] == ["set"]
+    assert "already exists" in refused(f"chips {runs} --out {out}")
+    (out / "chips.json").unlink()
+    assert "contains no chips.json, so it will not be replaced" in refused(f"chips {runs} --out {out} --overwrite")
 
 
 # ---- files of Gaussians of other programs ----------------------------------------------------------------------------
 COUNT = 60
 
 
-def scene() -> Gaussians:
+def scene(moved_m: Sequence[float] = (0, 0, 0), last_m: Sequence[float] | None = None) -> Gaussians:
+    """Gaussians around a place; the last one may be somewhere else."""
     places = np.random.default_rng(0).uniform(-1, 1, (COUNT, 3)) * (2, 1, 0.5) + (0, 0, 0.5)
-    return upright(torch.from_numpy(places).float(), 0.2, 2.0, Harmonics(torch.ones(COUNT, 1)))
+    means = torch.from_numpy(places).float() + torch.tensor(moved_m)
+    if last_m is not None:
+        means[-1] = torch.tensor(last_m)
+    return upright(means, 0.2, 2.0)
 
 
 def rendered(path: Path, *words: str) -> np.ndarray:
@@ -122,11 +119,9 @@ def rendered(path: Path, *words: str) -> np.ndarray:
 
 def test_stray_gaussians_neither_set_the_pixels_nor_go_unsaid(tmp_path, said, capsys):
     """One is far, the other huge."""
-    whole = scene()
-    means, scales = whole.means.clone(), whole.scales.clone()
-    means[-1] = torch.tensor([1e4, 0, 0])
-    scales[-2] = torch.e**30
-    write_gaussians_ply(tmp_path / "a.ply", whole.with_tensors(means=means, scales=scales))
+    whole = scene(last_m=(1e4, 0, 0))
+    whole.scales[-2] = torch.e**30
+    write_gaussians_ply(tmp_path / "a.ply", whole)
     write_gaussians_ply(tmp_path / "b.ply", whole[:-2])
     image = rendered(tmp_path / "a.ply")
     told = capsys.readouterr().err
@@ -139,10 +134,7 @@ def test_stray_gaussians_neither_set_the_pixels_nor_go_unsaid(tmp_path, said, ca
 
 
 def test_whoever_gives_pixels_and_spacing_sees_what_lies_apart(tmp_path, said):
-    whole = scene()
-    means = whole.means.clone()
-    means[-1] = torch.tensor([100.0, 0, 0])
-    write_gaussians_ply(tmp_path / "a.ply", whole.with_tensors(means=means))
+    write_gaussians_ply(tmp_path / "a.ply", scene(last_m=(100, 0, 0)))
     image = rendered(tmp_path / "a.ply", "--pixels", "256", "256", "--spacing", "1", "--resolution", "1")
     rows, columns = np.nonzero(image > 1e-3 * image.max())
     assert np.hypot(rows - 127.5, columns - 127.5).max() > 60
@@ -151,11 +143,8 @@ def test_whoever_gives_pixels_and_spacing_sees_what_lies_apart(tmp_path, said):
 
 
 def test_far_scenes_are_brought_back_whatever_lies_at_the_origin(tmp_path, said):
-    whole = scene()
-    means = whole.means + torch.tensor([1e4, 2e4, 300])
-    means[-1] = 0
-    write_gaussians_ply(tmp_path / "a.ply", whole.with_tensors(means=means))
-    write_gaussians_ply(tmp_path / "b.ply", whole[:-1])
+    write_gaussians_ply(tmp_path / "a.ply", scene((1e4, 2e4, 300), (0, 0, 0)))
+    write_gaussians_ply(tmp_path / "b.ply", scene()[:-1])
     image, near = rendered(tmp_path / "a.ply"), rendered(tmp_path / "b.ply")
     assert image.sum() == pytest.approx(near.sum(), rel=0.05)
     assert "far from the origin; images are made after (" in said(f"info {tmp_path}/a.ply")
@@ -163,15 +152,14 @@ def test_far_scenes_are_brought_back_whatever_lies_at_the_origin(tmp_path, said)
 
 def test_splat_files_are_described_rendered_and_exported(tmp_path, said):
     write_gaussians_ply(tmp_path / "a.ply", scene())
-    said(f"export {tmp_path}/a.ply {tmp_path}/a.splat")
-    assert "60 Gaussians" in said(f"info {tmp_path}/a.splat")
+    for source, made in (("a.ply", "a.splat"), ("a.splat", "back.ply")):
+        said(f"export {tmp_path}/{source} {tmp_path}/{made}")
+        assert "60 Gaussians" in said(f"info {tmp_path}/{made}")
     assert rendered(tmp_path / "a.splat").max() > 0
-    said(f"export {tmp_path}/a.splat {tmp_path}/back.ply")
-    assert "60 Gaussians" in said(f"info {tmp_path}/back.ply")
 
 
 def test_a_mesh_of_sparse_gaussians_is_not_told_to_train_longer(tmp_path, refused):
-    write_gaussians_ply(tmp_path / "a.ply", scene().with_tensors(optical_depth=torch.full((COUNT,), 0.01)))
+    write_gaussians_ply(tmp_path / "a.ply", upright(scene().means, 0.2, 0.01))
     told = refused(f"export {tmp_path}/a.ply {tmp_path}/a.glb")
     assert "train" not in told and "export the Gaussians themselves" in told
 
