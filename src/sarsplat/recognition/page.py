@@ -1,7 +1,11 @@
-"""Page of located images: chips beside the renderings that explain them, confusion, azimuth errors and reliability."""
+"""Inputs and files of `sarsplat locate`: a table, and a page of chips beside the renderings that explain them.
+
+The page also has the confusion of classes and the reliability of odds.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,19 +13,44 @@ import numpy as np
 
 from sarsplat.colours import POWER
 from sarsplat.data import write_bytes
-from sarsplat.errors import counted
+from sarsplat.data.dataset_folder import HEADER as DATASET_HEADER
+from sarsplat.errors import SarsplatError, counted
 from sarsplat.radiometry import DYNAMIC_RANGE_DB, from_db, white_level
 from sarsplat.recognition.located import Located
 from sarsplat.report.figure import Block, Figure, axis, chart, colour_bar, polyline
 from sarsplat.report.images import Part, view_name
 from sarsplat.report.page import in_words, rendered
 from sarsplat.report.views import evenly
+from sarsplat.runs.run_folder import HEADER
 
 _SHOWN, _DOUBTFUL = 12, 6
 """Number of images on the page, and of those that are chosen because they are wrong or least certain."""
 
 _LARGEST = 160  # maximum number of pixels along a side that the page shows of an image
 _BINS = 10  # number of bins of the reliability diagram
+
+
+def runs_and_images(paths: Sequence[Path], *, one_dataset: bool) -> tuple[list[Path], list[Path]]:
+    """Separate the folders of runs from those of images, which must be `one_dataset` if its copy is written."""
+    runs = [path for path in paths if (path / HEADER).is_file()]
+    images = [path for path in paths if path not in runs]
+    if one_dataset and (len(images) != 1 or not (images[0] / DATASET_HEADER).is_file()):
+        raise SarsplatError("`write_back` copies one dataset; give that alone, or leave `write_back` out")
+    return runs, images
+
+
+def files_of(table: Path, calibrate: Sequence[Path]) -> list[Path]:
+    """Return the table (CSV), the page beside it, and, if labelled images calibrate, the file of the calibration."""
+    made = any(path.suffix != ".json" for path in calibrate)
+    return [table, table.with_suffix(".html"), *([table.with_suffix(".json")] * made)]
+
+
+def write_files(located: Located, files: Sequence[Path]) -> None:
+    """Write the files that `files_of` names."""
+    located.write_csv(files[0])
+    write_page(located, files[1])
+    for path in files[2:]:
+        located.calibration.write(path)
 
 
 def write_page(located: Located, path: Path) -> None:
