@@ -107,7 +107,7 @@ def one_of(literal: Any, hint: str = "(optional)") -> Any:
 def angles(texts: Sequence[str], name: str) -> list[float]:
     """Return degrees from words such as `30`, `-7.5` and `0:360:15` (start:stop:step; the stop is excluded)."""
     values: list[float] = []
-    for text in ",".join(texts).split(","):
+    for text in ",".join(texts).split(",") if texts else ():
         try:
             numbers = [float(part) for part in text.split(":")]
         except ValueError:
@@ -194,9 +194,7 @@ def require_ending(name: str, path: Path, *endings: str) -> None:
 def grazings(grazing: Sequence[str], incidence: Sequence[str], prefix: str = "") -> list[float]:
     """Return grazing angles, degrees, from these or incidence angles; [] without both."""
     exclude(f"{prefix}grazing", "is 90° less incidence", {f"{prefix}incidence": grazing and incidence})
-    if incidence:
-        return [90.0 - angle for angle in angles(incidence, f"{prefix}incidence")]
-    return angles(grazing, f"{prefix}grazing") if grazing else []
+    return [*(90.0 - angle for angle in angles(incidence, f"{prefix}incidence")), *angles(grazing, f"{prefix}grazing")]
 
 
 def views_from(
@@ -214,8 +212,7 @@ def views_from(
     from sarsplat.geometry import View
     from sarsplat.geometry.view import seen_alike
 
-    azimuths = angles(azimuth, f"{prefix}azimuth") if azimuth else []
-    elevations = grazings(grazing, incidence, prefix)
+    azimuths, elevations = angles(azimuth, f"{prefix}azimuth"), grazings(grazing, incidence, prefix)
     for given, missing in ((elevations, "grazing"), (azimuths, "azimuth")):
         if not given:
             raise SarsplatError(f"--{prefix}{missing} is missing; give degrees or a range, such as 10:70:15")

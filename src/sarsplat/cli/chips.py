@@ -117,7 +117,7 @@ def chips(
     made = chips_of(
         runs,
         count=draws.count,
-        azimuths_deg=angles(draws.azimuth, "azimuth") if draws.azimuth else (),
+        azimuths_deg=angles(draws.azimuth, "azimuth"),
         grazing_deg=draws.grazing_deg(),
         seed=draws.seed,
         ground=draws.ground,

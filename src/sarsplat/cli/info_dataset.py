@@ -80,17 +80,20 @@ def _facts(dataset: Dataset, path: Path) -> dict[str, str]:
 
     train = dataset.select("train").views
     gap = largest_gap(view.azimuth_deg for view in train)
+    optional: dict[str, object] = {
+        "terrain": dataset.terrain,
+        "place": dataset.place,
+        "azimuth": _uncertainty([entry.azimuth_std_deg for entry in dataset.entries]),
+        "rotations": _rotations([entry.turn for entry in dataset.entries if entry.turn is not None]),
+        "views": _looks(dataset.views),
+        "largest gap": "" if train[0].aloft else f"{gap} (azimuths of the training views)",
+    }
     return {
         "target": dataset.target,
         "calibration": _CALIBRATIONS[dataset.calibration],
         "speckle": dataset.speckle,
         "ground": "shown" if dataset.ground else "not shown",
-        **({} if dataset.terrain is None else {"terrain": str(dataset.terrain)}),
-        **({} if dataset.place is None else {"place": str(dataset.place)}),
-        **_uncertainty([entry.azimuth_std_deg for entry in dataset.entries]),
-        **_rotations([entry.turn for entry in dataset.entries if entry.turn is not None]),
-        **_looks(dataset.views),
-        **({} if train[0].aloft else {"largest gap": f"{gap} (azimuths of the training views)"}),
+        **{name: str(value) for name, value in optional.items() if value},
         **(_passes(dataset.stacks[0]) if dataset.passes else {"weakest direction": str(weakest_direction(train))}),
         "protocol": dataset.protocol or "none",
         "quantity": f"{_QUANTITIES[dataset.signal is not None]}; row 0 near range",
@@ -102,8 +105,8 @@ def _facts(dataset: Dataset, path: Path) -> dict[str, str]:
     }
 
 
-def _looks(views: Sequence[View]) -> dict[str, str]:
-    """Return a row about inverse SAR, tilt and side left; {} for level views to the right."""
+def _looks(views: Sequence[View]) -> str:
+    """Return remarks on inverse SAR, tilt and side left; "" for level views to the right."""
     low, high = (bound(round(view.tilt_deg, 1) for view in views) for bound in (min, max))
     left = sum(view.side == "left" for view in views)
     remarks = ["of a target aloft (inverse SAR)"] * views[0].aloft
@@ -111,7 +114,7 @@ def _looks(views: Sequence[View]) -> dict[str, str]:
         remarks.append(f"azimuth axis tilted by {low:g}°" + ("" if low == high else f" to {high:g}°"))
     if left:
         remarks.append("looking left" if left == len(views) else f"{left} of {len(views)} looking left")
-    return {"views": ", ".join(remarks)} if remarks else {}
+    return ", ".join(remarks)
 
 
 def _passes(stack: Stack) -> dict[str, str]:
@@ -150,21 +153,21 @@ def _source(target: str, source: Mapping[str, Any]) -> dict[str, str]:
     return rows
 
 
-def _uncertainty(std_deg: list[float]) -> dict[str, str]:
+def _uncertainty(std_deg: list[float]) -> str:
     low, high = min(std_deg), max(std_deg)
     if not high:
-        return {}
-    return {"azimuth": f"± {low:g}°" if low == high else f"± {low:g}° to {high:g}°"}
+        return ""
+    return f"± {low:g}°" if low == high else f"± {low:g}° to {high:g}°"
 
 
-def _rotations(turns: list[Turn]) -> dict[str, str]:
-    """Return a row about passes of a target aloft, with the largest uncertainties."""
+def _rotations(turns: list[Turn]) -> str:
+    """Return the number of passes of a target aloft, with the largest uncertainties; "" without turns."""
     if not turns:
-        return {}
+        return ""
     axis_std_deg, rate_std = (max(getattr(turn, name) for turn in turns) for name in ("axis_std_deg", "rate_std"))
     known = [f"axis ± {axis_std_deg:g}°"] * (axis_std_deg > 0) + [f"rate ± {rate_std:.2g}"] * (rate_std > 0)
     count = len({turn.of_pass for turn in turns})
-    return {"rotations": ", ".join([f"{count} pass{'es' * (count > 1)}", *(known or ["known exactly"])])}
+    return ", ".join([f"{count} pass{'es' * (count > 1)}", *(known or ["known exactly"])])
 
 
 def _set(images: np.ndarray) -> str:

@@ -65,10 +65,7 @@ class Directions:
         from sarsplat.report.rendered import sweep_views
 
         assert self.sweep is not None
-        given = {
-            "azimuth": angles(self.azimuth, "azimuth") if self.azimuth else [],
-            "grazing": grazings(self.grazing, self.incidence),
-        }
+        given = {"azimuth": angles(self.azimuth, "azimuth"), "grazing": grazings(self.grazing, self.incidence)}
         ends, other = given[self.sweep], "grazing" if self.sweep == "azimuth" else "azimuth"
         if len(ends) not in (0, 2) or len(given[other]) > 1:
             raise SarsplatError(
