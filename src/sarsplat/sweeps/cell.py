@@ -87,13 +87,14 @@ def cells_of(plan: Plan, base: Path) -> list[Cell]:
 
 def _cells(plan: Plan, base: Path) -> Iterator[Cell]:
     for folder, name in plan.folders(base).items():
-        unreadable, dataset = "", None
+        dataset = None
         try:
             dataset = read_dataset(folder)
+            fingerprint = dataset.fingerprint()
         except SarsplatError as error:  # the run fails with it when it is tried
-            unreadable = str(error)
+            fingerprint = f"{folder}: {error}"
         for method in plan.each_method():
-            yield from _of_dataset(plan, folder, name, dataset, unreadable, *method)
+            yield from _of_dataset(plan, folder, name, dataset, fingerprint, *method)
 
 
 def _of_dataset(
@@ -101,15 +102,15 @@ def _of_dataset(
     folder: Path,
     name: str,
     dataset: Dataset | None,
-    unreadable: str,
+    fingerprint: str,
     method: str,
     settings: Mapping[str, Any],
 ) -> Iterator[Cell]:
     kind = method_named(method)
     masks = plan.masks or (str(folder / "masks") if (folder / "masks").is_dir() else None)
-    learned = "masks" in kind.takes and masks is not None and dataset is not None
-    learned_from = _fingerprint_of_masks(Path(masks or ""), dataset) if learned and dataset else ""
-    fingerprint = f"{folder}: {unreadable}" if dataset is None else dataset.fingerprint()
+    learned_from = ""
+    if "masks" in kind.takes and masks is not None and dataset is not None:
+        learned_from = _fingerprint_of_masks(Path(masks), dataset)
     code = code_of(method, plan.device)
     scoring = digest([scoring_code(), masks, plan.mesh, plan.align])
     where = f"settings of {method}{f' in {plan.name}' if plan.name else ''}"

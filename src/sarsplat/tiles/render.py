@@ -132,10 +132,7 @@ def tile_image(
     shift: Float[Tensor, "1 2"] | None,
     echoes: Sequence[Echo],
 ) -> Float[Tensor, "c rows columns"]:
-    """Render one tile.
-
-    All tiles share one lattice of rays and one set of footprints, so that neighbours agree up to the order of sums.
-    """
+    """Render one tile, whose neighbours agree up to the order of sums."""
     members, pixels = rows_of(gaussians, tile.gaussians), grid.part(tile.rows, tile.columns)
     p = project(members, [view], grid, rays=rays, shift=shift)
     attenuation = attenuate(p, rays, first_return_depth=_ANY_DEPTH if echoes else None)
