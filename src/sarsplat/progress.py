@@ -74,10 +74,6 @@ class Reporter:
         inner._spoken = self._spoken  # so that the interval holds across parts
         return inner
 
-    def within(self, before: int, name: str) -> "Reporter":
-        """Return a reporter of a part of the work whose steps follow the first `before` of the whole."""
-        return _PartOfSteps(self, before, name)
-
     def note(self, text: str) -> None:
         """Print a line that stays."""
         if self._bar is not None:
@@ -119,8 +115,8 @@ class Reporter:
         return f"{timedelta(seconds=left_s)} left" if left_s >= 600 else f"{left_s} s left"
 
 
-class _PartOfSteps(Reporter):
-    """Reporter that passes everything on to another one."""
+class PartOfSteps(Reporter):
+    """Reporter of a part of the work, whose steps follow the first `before` steps that `outer` reports."""
 
     def __init__(self, outer: Reporter, before: int, name: str) -> None:
         self._outer, self._before, self._name = outer, before, name

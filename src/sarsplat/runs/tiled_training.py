@@ -28,7 +28,7 @@ from sarsplat.learning.device_choice import device_named
 from sarsplat.learning.losses import Loss
 from sarsplat.learning.observations.single_images import PartsOfImages, Tile, merged, tiles_of, with_some
 from sarsplat.learning.snapshot import Snapshot
-from sarsplat.progress import Reporter, progress
+from sarsplat.progress import PartOfSteps, Reporter, progress
 from sarsplat.runs.run import Run
 from sarsplat.runs.run_folder import HEADER, LogLine, RunFolder
 from sarsplat.runs.training_loop import Step, Training
@@ -131,7 +131,7 @@ class TiledTraining(Training[Trainer]):
         self, tile: Tile, name: str, number: int, begun: Snapshot, iterations: int
     ) -> tuple[Snapshot, list[LogLine]]:
         """Train a tile to the end, resuming it if begun; return its state and log."""
-        whole, shown = self.trainer, self.shown.within(number * (iterations - begun.iteration), name)
+        whole, shown = self.trainer, PartOfSteps(self.shown, number * (iterations - begun.iteration), name)
         setup = whole.config, whole.device, self._inputs.loss
         folder = None if self.run is None else self.run.folder / _FOLDER
         training = train_tile(
