@@ -39,7 +39,6 @@ RunOrFile = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN|PLY
 COMPRESSED = (".spz", ".sog", ".ksplat")  # endings of files of Gaussians that have to be converted
 
 Folder = Annotated[Path, tyro.conf.arg(metavar="DIR")]
-File = Annotated[Path, tyro.conf.arg(metavar="FILE")]
 OptionalFolder = Annotated[Path | None, tyro.conf.arg(metavar="DIR", help_behavior_hint="(optional)")]
 OptionalFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(optional)")]
 OptionalName = Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(optional)")]

@@ -1,7 +1,5 @@
 """Results of a sweep so far: a row for every run, and means with their spread over the seeds."""
 
-import csv
-import io
 import statistics
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,6 +13,7 @@ from rich.table import Table
 from sarsplat.data import read_json
 from sarsplat.errors import SarsplatError, counted
 from sarsplat.evaluation import Beaten, Metric, Scores, Yardstick, beaten, summary_metrics
+from sarsplat.samples.encoding import encoded_table
 from sarsplat.sweeps.cell import Cell
 from sarsplat.sweeps.work import ROWS, RUNS, Row
 
@@ -230,11 +229,7 @@ class Results:
                     **done,
                 }
             )
-        file = io.StringIO()
-        writer = csv.DictWriter(file, list(dict.fromkeys(name for row in rows for name in row)), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-        return file.getvalue()
+        return encoded_table(rows, list(dict.fromkeys(name for row in rows for name in row))).decode()
 
 
 def varying(lines: Sequence[Line | Cell]) -> list[str]:
