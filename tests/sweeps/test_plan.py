@@ -42,13 +42,8 @@ def test_every_combination_is_a_run(place):
         [name, count, rate] for name in ("default", "quick") for count in (10, 20) for rate in (0.1, 0.2)
     ]
     first = found[1]
-    assert (first.seed, first.config["seed"], first.config["rates"]["means"], first.config["iterations"]) == (
-        4,
-        4,
-        0.1,
-        10,
-    )
-    assert first.config["points"]["voxel"] == 0.5
+    assert (first.seed, first.config["seed"], first.config["iterations"]) == (4, 4, 10)
+    assert (first.config["rates"]["means"], first.config["points"]["voxel"]) == (0.1, 0.5)
     assert first.config["loss"] == preset("default").loss
 
 

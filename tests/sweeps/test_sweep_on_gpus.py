@@ -1,15 +1,14 @@
 """Several runs at a time in one process, as on a GPU: the same bits, answers that fit, and no other run is lost."""
 
-import json
-import os
+import shutil
 import signal
 import sys
 import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -26,7 +25,7 @@ from sarsplat.executors import Means, executor_local, executor_ray
 from sarsplat.executors.executor_local import Worker, serve
 from sarsplat.sweeps.cell import Cell, cells_of
 from sarsplat.sweeps.plan import Plan
-from sarsplat.sweeps.work import RUN, Row, caught, do, row_of, row_path
+from sarsplat.sweeps.work import RUN, caught, do, row_of, row_path
 
 
 @pytest.fixture
@@ -37,75 +36,40 @@ def cells(place: Path, plan: dict[str, Any]) -> list[Cell]:
     return cells_of(Plan.from_dict(plan), place)
 
 
-@pytest.fixture
-def endless(place: Path, plan: dict[str, Any], cells: list[Cell]) -> list[Cell]:
-    """Two runs that go on until they are stopped."""
-    settings = {**plan["settings"], "iterations": 10**6, "checkpoint_every": 10**6}
-    return cells_of(Plan.from_dict({**plan, "settings": settings}), place)
+def test_lost_runs_are_done_by_the_next_process_and_stopped_ones_by_none(place, plan, cells, results):
+    """Two at a time in a process, which ends by itself, as when its parent is killed; the next one is killed."""
+    out, endless = place / "out", {**plan["settings"], "iterations": 10**6, "checkpoint_every": 10**6}
+    stopped = cells_of(Plan.from_dict({**plan, "settings": endless}), place)
+    folders = [out / "runs" / f".{cell.address}.sarsplat-new" for cell in stopped]
+    crew = Worker(Cell.work, out, again=False, at_a_time=2)
+    with ThreadPoolExecutor(2) as pool, ExitStack() as stack:
+        stack.callback(crew.kill)
 
-
-@contextmanager
-def under_way(crew: Worker, cells: list[Cell], out: Path) -> Iterator[list[Any]]:
-    """The answers to come, once all these runs are being done."""
-    with ThreadPoolExecutor(len(cells)) as pool:
-        asked = [pool.submit(crew.ask, cell) for cell in cells]
-        try:
-            end = time.monotonic() + 120
-            while not all((out / "runs" / f".{cell.address}.sarsplat-new").exists() for cell in cells):
+        def under_way() -> list[Future[Any]]:
+            asked, end = [pool.submit(crew.ask, cell) for cell in stopped], time.monotonic() + 120
+            while not all(folder.exists() for folder in folders):
                 assert time.monotonic() < end
                 time.sleep(0.02)
-            yield asked
-        finally:
-            crew.kill()
-    crew.close()
+            return asked
 
-
-def test_a_process_that_ends_loses_its_runs_and_the_next_one_answers_with_the_same_bits(
-    place, plan, cells, endless, results
-):
-    out = place / "out"
-    crew = Worker(Cell.work, out, again=False, at_a_time=2)
-    with under_way(crew, endless, out) as asked:
-        crew._process.stdin.close()  # as when the parent is killed
-        for cell, answer in zip(endless, asked, strict=True):
+        asked = under_way()
+        crew._process.stdin.close()
+        for cell, folder, answer in zip(stopped, folders, asked, strict=True):
             row = answer.result(timeout=60)
             assert (row.address, row.state, row.passing) == (cell.address, "failed", True)
             assert row.reason.startswith("its process ended with code 0; ")
             assert row_of(cell, out) is None  # it is tried again
             row_path(cell, out).unlink()
-        with ThreadPoolExecutor(2) as pool:
-            rows = [*pool.map(crew.ask, cells)]
-    assert [(row.address, row.state) for row in rows] == [(cell.address, "finished") for cell in cells]
-    sweep(plan, place / "alone", executor="here", quiet=True)
-    assert results(out) == results(place / "alone")
-
-
-@pytest.mark.slow
-def test_runs_that_were_lost_go_on_from_their_checkpoints(place, plan, cells, results):
-    plan["settings"] |= {"iterations": 1500, "checkpoint_every": 100}
-    longer, out = cells_of(Plan.from_dict(plan), place), place / "out"
-    crew = Worker(Cell.work, out, again=False, at_a_time=2)
-    with under_way(crew, longer, out) as asked:
-        end = time.monotonic() + 120
-        while not all((out / "runs" / cell.address / "checkpoints").exists() for cell in longer):
-            assert time.monotonic() < end
-            time.sleep(0.02)
-        os.kill(crew._process.pid, signal.SIGKILL)
-        assert [answer.result(timeout=60).state for answer in asked] == ["failed", "failed"]
-        with ThreadPoolExecutor(2) as pool:
-            assert [row.state for row in pool.map(crew.ask, longer)] == ["finished", "finished"]
-    sweep(plan, place / "alone", executor="here", quiet=True)
-    assert results(out) == results(place / "alone")
-
-
-def test_a_sweep_that_is_ended_ends_all_that_is_under_way(place, endless):
-    out = place / "out"
-    crew = Worker(Cell.work, out, again=False, at_a_time=2)
-    with under_way(crew, endless, out) as asked:
+            shutil.rmtree(folder)
+        rows = [*pool.map(crew.ask, cells)]
+        assert [(row.address, row.state) for row in rows] == [(cell.address, "finished") for cell in cells]
+        asked = under_way()
         crew.kill()
         assert [answer.result(timeout=60) for answer in asked] == [None, None]
-        assert crew.ask(endless[0]) is None  # and nothing begins any more
-    assert not [*(out / "rows").glob("*.json")]
+        assert crew.ask(stopped[0]) is None  # and nothing begins any more
+    crew.close()
+    sweep(plan, place / "alone", executor="here", quiet=True)
+    assert results(out) == results(place / "alone")
 
 
 @pytest.mark.slow
@@ -125,25 +89,19 @@ def test_runs_in_threads_on_an_emulated_gpu_have_the_same_bits(place, plan, cell
 
 # ---- who does what --------------------------------------------------------------------------------------------------
 @pytest.fixture
-def made(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, dict[str, str], list[str]]]:
-    """Workers that only note what they are asked: how many at a time, in which environment, and devices."""
-    made: list[tuple[int, dict[str, str], list[str]]] = []
+def made(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, list[dict[str, str]], set[str]]]:
+    """Workers that are not asked: how many jobs each does at a time, their environments, and the devices of jobs."""
+    made: list[tuple[int, list[dict[str, str]], set[str]]] = []
 
-    class Noting:
-        def __init__(self, work: str, out: Path, again: bool, at_a_time: int = 1, environment: Any = None) -> None:
-            self.asked: list[str] = []
-            made.append((at_a_time, environment or {}, self.asked))
+    @contextmanager
+    def asked(jobs: list[Cell], workers: list[Any], at_a_time: int = 1) -> Iterator[dict[Future[None], Cell]]:
+        made.append((at_a_time, [worker._environment for worker in workers], {job.device for job in jobs}))
+        answers = {Future[None](): job for job in jobs}
+        for answer in answers:
+            answer.set_result(None)
+        yield answers
 
-        def ask(self, cell: Cell) -> Row:
-            self.asked.append(cell.device)
-            return Row(cell.address, cell.recipe, cell.code, cell.scoring, "finished")
-
-        def kill(self) -> None:
-            pass
-
-        close = kill
-
-    monkeypatch.setattr(executor_local, "Worker", Noting)
+    monkeypatch.setattr(executor_local, "_asked", asked)
     monkeypatch.setattr(executor_local, "_processors", lambda: 6)
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
     monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
@@ -159,15 +117,10 @@ def test_a_gpu_has_one_process_and_the_cpu_one_for_each_run(place, plan, made, m
     parts = [{"name": device, "device": device} for device in ("cpu", "cuda")]
     plan |= {"seeds": [*range(12)], "parts": parts}
     done(plan, place, Means(processes=3, per_device=5))
-    assert [at_a_time for at_a_time, *_ in made] == [1, 1, 1, 5, 5]
-    assert [environment for _, environment, _ in made[3:]] == [{"CUDA_VISIBLE_DEVICES": name} for name in "01"]
-    assert {device for *_, asked in made[:3] for device in asked} == {"cpu"}
-    assert {device for *_, asked in made[3:] for device in asked} == {"cuda"}
-    assert sum(len(asked) for *_, asked in made) == 24
-    made.clear()
+    assert made == [(1, [{}] * 3, {"cpu"}), (5, [{"CUDA_VISIBLE_DEVICES": name} for name in "01"], {"cuda"})]
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "GPU-5,MIG-7")
     done(plan | {"seeds": [0, 1], "parts": parts[1:]}, place, Means(per_device=5))
-    assert [each[:2] for each in made] == [(1, {"CUDA_VISIBLE_DEVICES": name}) for name in ("GPU-5", "MIG-7")]
+    assert made[2] == (1, [{"CUDA_VISIBLE_DEVICES": name} for name in ("GPU-5", "MIG-7")], {"cuda"})
 
 
 @pytest.mark.parametrize(("count", "processors", "expected"), [(2, 6, 3), (1, 16, 4), (1, 1, 1), (0, 16, 4)])
@@ -175,8 +128,9 @@ def test_how_many_share_a_gpu_unasked(place, plan, made, monkeypatch, count, pro
     monkeypatch.setattr(torch.cuda, "device_count", lambda: count)
     monkeypatch.setattr(executor_local, "_processors", lambda: processors)
     done(plan | {"seeds": [*range(20)], "device": "cuda"}, place, Means())
-    assert [at_a_time for at_a_time, *_ in made] == [expected] * max(1, count)
-    assert count > 1 or made[0][1] == {}
+    ((at_a_time, environments, _),) = made
+    assert (at_a_time, len(environments)) == (expected, max(1, count))
+    assert count > 1 or environments == [{}]
 
 
 def test_per_device_is_for_plans_with_a_gpu(place, plan):
@@ -200,26 +154,17 @@ def test_another_device_than_the_plans_is_that_of_all_its_parts(place, plan):
 
 @pytest.mark.parametrize(("device", "gpus", "asked"), [("cuda", 0.25, 0.25), ("cuda", None, 1.0), ("cpu", None, 0.0)])
 def test_ray_is_asked_for_a_part_of_a_gpu(place, plan, monkeypatch, device, gpus, asked):
-    """By a stand-in for Ray, which does everything in this process."""
+    """By a stand-in for Ray, which answers that other processes do everything."""
     options: list[dict[str, Any]] = []
-
-    def remote(do: Callable[..., Any]) -> Any:
-        return SimpleNamespace(options=lambda **given: options.append(given) or SimpleNamespace(remote=do))
-
+    task = SimpleNamespace(remote=lambda *_: object())
     ray: Any = ModuleType("ray")
-    ray.is_initialized, ray.cluster_resources, ray.remote = lambda: True, dict, remote
-    ray.wait, ray.get = lambda tasks, num_returns: (tasks[:1], tasks[1:]), json.loads
+    ray.is_initialized, ray.cluster_resources = lambda: True, dict
+    ray.remote = lambda do: SimpleNamespace(options=lambda **given: options.append(given) or task)
+    ray.wait, ray.get = lambda tasks, num_returns: (tasks[:1], tasks[1:]), lambda task: None
     monkeypatch.setitem(sys.modules, "ray", ray)
-    monkeypatch.setattr(executor_ray, "_do", lambda work, cell, *_: json.dumps(msgspec.to_builtins(finished(cell))))
     cells = cells_of(Plan.from_dict(plan | {"device": device}), place)
-    rows = [row for _, row in executor_ray.run(cells, place, Means(gpus=gpus))]
-    assert {row.address for row in rows} == {cell.address for cell in cells}
+    assert [*executor_ray.run(cells, place, Means(gpus=gpus))] == [(cell, None) for cell in cells]
     assert {given["num_gpus"] for given in options} == {asked}
-
-
-def finished(cell: dict[str, Any]) -> Row:
-    done = msgspec.convert(cell, Cell)
-    return Row(done.address, done.recipe, done.code, done.scoring, "finished")
 
 
 # ---- the process ----------------------------------------------------------------------------------------------------
