@@ -131,12 +131,22 @@ def test_overwriting(name: str) -> None:
     assert leftovers() == []
 
 
-def test_a_new_run() -> None:
-    command, out = "reconstruct dataset --out new --seed 5", Path("new")
+@pytest.mark.parametrize("old", [None, "run6"], ids=["new", "overwriting"])
+def test_a_run(old: str | None) -> None:
+    """An old one is whole until the new one has a checkpoint to go on from."""
+    out = Path("made")
+    command = f"reconstruct dataset --out {out} --seed 5{' --overwrite' if old else ''}"
     for moment in moments(command):
         shutil.rmtree(out, ignore_errors=True)
+        if old:
+            shutil.copytree(old, out)
         process(command, **moment)
-        done(f"{command} --resume" if out.exists() else command)
+        if out.exists() and b'"seed": 5' in (out / "config.json").read_bytes():
+            done(f"reconstruct dataset --out {out} --resume")
+        else:
+            left = tree(out if out.exists() else out.with_name(f".{out}.sarsplat-old"))
+            assert left == (tree(Path(old)) if old else None), moment
+            done(command)
         assert results(out) == results(Path("run5")), moment
         assert leftovers() == []
 
@@ -164,24 +174,6 @@ def test_resuming() -> None:
             assert leftovers() == []
     done(command)
     assert leftovers() == []
-
-
-def test_overwriting_a_run() -> None:
-    """The old run is whole until the new one has a checkpoint to go on from."""
-    command, out = "reconstruct dataset --out over --overwrite --seed 5", Path("over")
-    old = tree(Path("run6"))
-    shutil.copytree("run6", out)
-    for moment in moments(command):
-        shutil.rmtree(out)
-        shutil.copytree("run6", out)
-        process(command, **moment)
-        if not out.exists() or b'"seed": 6' in (out / "config.json").read_bytes():
-            assert tree(out if out.exists() else out.with_name(".over.sarsplat-old")) == old, moment
-            done(command)
-        else:
-            done("reconstruct dataset --out over --resume")
-        assert results(out) == results(Path("run5")), moment
-        assert leftovers() == []
 
 
 @pytest.mark.parametrize("name", ["evaluate", "report"])
