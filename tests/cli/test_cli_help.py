@@ -23,9 +23,7 @@ from sarsplat.scenes import TARGETS
 from sarsplat.settings.sections import Densification, FlatGround, Surroundings
 
 
-def test_the_overview_has_the_help_of_every_command(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_overview_has_the_help_of_every_command(capsys, monkeypatch) -> None:
     monkeypatch.setenv("COLUMNS", "200")
     for words, names in (([], COMMANDS), (["import"], IMPORTERS)):
         with pytest.raises(SystemExit) as end:

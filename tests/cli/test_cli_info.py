@@ -40,16 +40,13 @@ def test_views_gap_and_chart(dataset: Path, said) -> None:
     assert "0° (nose)" in told
 
 
-def test_azimuths_of_a_place_count_from_a_bearing(tmp_path: Path, said) -> None:
-    """Houses have no nose."""
-    told = said(f"info {written(tmp_path, RING, place=Place(47.4, 8.5, 430.0, x_towards_deg=90))}")
+def test_azimuths_of_a_place_count_from_a_bearing_and_are_rounded(tmp_path: Path, said) -> None:
+    """Houses have no nose; and what is 0 but for rounding is said to be."""
+    views = [View(azimuth + 4e-12 * (-1) ** k, 45.0) for k, azimuth in enumerate(range(360, 0, -15), 1)]
+    told = said(f"info {written(tmp_path, views, place=Place(47.4, 8.5, 430.0, x_towards_deg=90))}")
     assert "0° (compass bearing 90°)" in told
     assert "nose" not in told
-
-
-def test_azimuths_that_are_0_but_for_rounding_are_said_to_be(tmp_path: Path, said) -> None:
-    views = [View(azimuth + 4e-12 * (-1) ** k, 45.0) for k, azimuth in enumerate(range(360, 0, -15), 1)]
-    assert re.search(r"train +45° +24 +0° … 345°", said(f"info {written(tmp_path, views)}"))
+    assert re.search(r"train +45° +24 +0° … 345°", told)
 
 
 def rows(symbols=PRETTY, train=(), test=(), width=80) -> list[str]:

@@ -116,9 +116,7 @@ def test_a_mesh_is_scaled_and_its_rays_are_recorded(box: Path) -> None:
         ("--scale 0.001 --ray-spacing 0.2", "rays 0.2 m apart miss what pixels of 0.3 m show"),
     ],
 )
-def test_warnings_of_what_images_cannot_show(
-    box: Path, words: str, told: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_warnings_of_what_images_cannot_show(box: Path, words: str, told: str, capsys) -> None:
     simulated(box, words)
     assert told in capsys.readouterr().err
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -107,9 +107,7 @@ def test_a_target_that_looks_the_same_from_behind_may_be_reversed(located: Locat
     assert located.scores()["azimuth within one standard deviation"] > 0.4
 
 
-def test_sizes_of_images_change_neither_shift_nor_window_of_others(
-    runs: dict[str, Run], images: list[Dataset], located: Located
-) -> None:
+def test_sizes_of_images_change_neither_shift_nor_window_of_others(runs, images, located: Located) -> None:
     """Also where the origin is in a pixel's centre instead of between pixels, and where less is shown."""
     entries = speckled(runs["long"], [40.0, 160.0], 0).entries
     for rows, columns in ((45, 40), (38, 35)):
@@ -140,9 +138,7 @@ def numbers(located: Located) -> list[dict[str, str]]:
     return sorted(located.rows(), key=lambda row: (row["labelled_class"], row["image"]))
 
 
-def test_neither_order_nor_threads_change_a_bit(
-    runs: dict[str, Run], images: list[Dataset], located: Located, threads: Callable[[int], None]
-) -> None:
+def test_neither_order_nor_threads_change_a_bit(runs, images, located: Located, threads) -> None:
     threads(2)
     other = locate([*runs.values()][::-1], [images[2], images[0].take([*range(7, -1, -1)]), images[1]], **QUICK)
     assert numbers(other) == numbers(located)
@@ -219,9 +215,7 @@ def test_pictures_need_a_grazing_angle_alone(runs: dict[str, Run], images: list[
         locate([*every, coarser], tmp_path, grazing_deg=20.0)
 
 
-def test_images_without_azimuth_are_located_too(
-    runs: dict[str, Run], images: list[Dataset], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_images_without_azimuth_are_located_too(runs, images, tmp_path: Path, monkeypatch) -> None:
     lost = {"name": "lost", "file": "unplaced/000.tif", "set": "test", "grazing_deg": 20.0}
     power = images[0].power[1]
     train = replace(images[0].entries[0], split="train")
