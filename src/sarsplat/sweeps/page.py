@@ -45,15 +45,10 @@ def page(results: Results) -> str:
         lines=[_Row(line.texts(names, metrics)) for line in (*lines, *results.baselines())],
         figures=[figure for name in names if name not in _SETTLED for figure in _figure(name, lines, metrics)],
         warned=[_Row((text, counted(number, "run"))) for text, number in warned.most_common()],
-        failed=[_Row((_words(one, names), one.reason)) for one in results.failed],
+        failed=[_Row((one.cell.words(names), one.reason)) for one in results.failed],
         run_heads=[*(name for name in names if name != "test set"), "seed", "state", "run"],
         runs=[_run(one, [name for name in names if name != "test set"], results) for one in results.results],
     )
-
-
-def _words(one: Result, names: Sequence[str]) -> str:
-    labels = (label_text(one.cell.labels[name]) for name in names if name in one.cell.labels)
-    return ", ".join([*labels, f"seed {one.cell.seed}"])
 
 
 def _run(one: Result, names: Sequence[str], results: Results) -> _Row:
