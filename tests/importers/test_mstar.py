@@ -198,8 +198,9 @@ def test_mirrored_flips_columns_and_azimuth(chips):
         (lambda t: [*t[:2], [t[2][0], "", *t[2][2:]], *t[3:]], "has no label for 1 JPEG in", 9),
         (lambda t: [*t, ["T72/./chip002.jpeg", *t[3][1:]], t[4]], "repeats 2 labels; each chip is taken once", 10),
         (lambda t: [*t, ["T72/" + "a" * 5000, *t[1][1:]]], "lacks 1 of 11 chips in", 10),
+        (lambda t: [t[0], ["t72/CHIP000.jpeg", *t[1][1:]], *t[2:]], "spells 1 file otherwise than they are called", 10),
     ],
-    ids=["empty", "planned", "no class", "twice", "too long a path"],
+    ids=["empty", "planned", "no class", "twice", "too long a path", "capitals"],
 )
 def test_what_the_table_lacks_is_said_once(chips, change, words, left):
     rewrite(chips / "labels.csv", change)

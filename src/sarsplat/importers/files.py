@@ -8,8 +8,10 @@ import posixpath
 import re
 import unicodedata
 import warnings
-from collections.abc import Collection, Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -149,72 +151,55 @@ def listed_files(
     Differences in capital letters, or in the encoding of accents, are accepted with a warning; another one counts rows
     without a file. Raises if no row has a file, several files match, or one leads out of the folder, even by a link.
     """
-    names = _Names(folder, table, column, of, endings)
-    listed = [(row, path) for row in rows if (path := names.file_of(row))]
+
+    @cache  # only if a name is not that of a file
+    def by_plain_name() -> dict[str, list[Path]]:
+        found: dict[str, list[Path]] = defaultdict(list)
+        for path in files_in(folder, f"the {of}s"):
+            found[_plain(path.relative_to(folder).as_posix())].append(path)
+        return found
+
+    listed: list[tuple[Row, Path]] = []
+    otherwise: list[str] = []
+    missing: list[str] = []
+    for row in rows:
+        text = relative_path(table.path, row, column, of=f"{of}s").replace("\\", "/")
+        names = [f"{text}{ending}" for ending in ("", *endings)] if text else []
+        # os.path's: pathlib's raises if a name is too long for the system, as if the folder were wrong
+        path = next((folder / name for name in names if os.path.isfile(folder / name)), None)  # noqa: PTH113
+        if path is None:
+            similar = next(filter(None, (by_plain_name().get(_plain(name)) for name in names)), [])
+            if len(similar) > 1:
+                either = " and ".join(str(path.relative_to(folder)) for path in similar[:2])
+                raise SarsplatError(
+                    f"{table.path}, line {row[0]}: {shown(text)} may be {either}; write the name as the file's"
+                )
+            if not similar:
+                missing.append(shown(row[1][column]))
+                continue
+            path = similar[0]
+            otherwise.append(f"{shown(row[1][column])} for {path.relative_to(folder)}")
+        if not path.resolve().is_relative_to(folder.resolve()):
+            raise SarsplatError(
+                f"{table.path}, line {row[0]}: {shown(text)} is a link out of the folder of {of}s; copy the file"
+            )
+        listed.append((row, path))
     if not listed:
-        first = shown(rows[0][1][column])
         raise SarsplatError(
-            f"{folder} has none of {counted(len(rows), of)} in {table.path} (the first is {first}); give the folder "
-            "that they are relative to"
+            f"{folder} has none of {counted(len(rows), of)} in {table.path} (the first is {missing[0]}); give the "
+            "folder that they are relative to"
         )
-    if names.otherwise:
-        first_row, first_path = names.otherwise[0]
+    if otherwise:
         warn_caller(
-            f"{table.path} spells {counted(len(names.otherwise), 'file')} otherwise than they are called, the first of "
-            f"them {shown(first_row[1][column])} for {first_path.relative_to(folder)}; they are taken for these"
+            f"{table.path} spells {counted(len(otherwise), 'file')} otherwise than they are called, the first of "
+            f"them {otherwise[0]}; they are taken for these"
         )
-    used = {id(row) for row, _ in listed}
-    if missing := [shown(row[1][column]) for row in rows if id(row) not in used]:
+    if missing:
         warn_caller(
             f"{folder} lacks {len(missing)} of {counted(len(rows), of)} in {table.path}, the first of them "
             f"{missing[0]}; the others are used"
         )
     return listed
-
-
-class _Names:
-    """Finder of the files in a folder of `of` that rows of a table name in a column."""
-
-    def __init__(self, folder: Path, table: CsvTable, column: str, of: str, endings: Collection[str]) -> None:
-        self._folder, self._table, self._column, self._of = folder, table, column, of
-        self._endings = ("", *endings)
-        self._by_plain_name: dict[str, list[Path]] | None = None
-        self.otherwise: list[tuple[Row, Path]] = []
-        """Rows whose file has a name of other capitals or accents."""
-
-    def file_of(self, row: Row) -> Path | None:
-        """Return the file of a row; None if it is missing."""
-        text = relative_path(self._table.path, row, self._column, of=f"{self._of}s").replace("\\", "/")
-        if not text:
-            return None
-        for ending in self._endings:
-            path = self._folder / f"{text}{ending}"
-            # os.path's: pathlib's raises if a name is too long for the system, as if the folder were wrong
-            if os.path.isfile(path):  # noqa: PTH113
-                if not path.resolve().is_relative_to(self._folder.resolve()):
-                    raise SarsplatError(
-                        f"{self._table.path}, line {row[0]}: {shown(text)} is a link out of the folder of {self._of}s; "
-                        "copy the file"
-                    )
-                return path
-        return self._spelled_otherwise(row, text)
-
-    def _spelled_otherwise(self, row: Row, text: str) -> Path | None:
-        if self._by_plain_name is None:
-            self._by_plain_name = {}
-            for path in files_in(self._folder, f"the {self._of}s"):
-                self._by_plain_name.setdefault(_plain(path.relative_to(self._folder).as_posix()), []).append(path)
-        for ending in self._endings:
-            found = self._by_plain_name.get(_plain(f"{text}{ending}"), [])
-            if len(found) > 1:
-                names = " and ".join(str(path.relative_to(self._folder)) for path in found[:2])
-                raise SarsplatError(
-                    f"{self._table.path}, line {row[0]}: {shown(text)} may be {names}; write the name as the file's"
-                )
-            if found and found[0].resolve().is_relative_to(self._folder.resolve()):
-                self.otherwise.append((row, found[0]))
-                return found[0]
-        return None
 
 
 def _plain(name: str) -> str:

@@ -187,8 +187,10 @@ def _jpeg_chips(
     if not rows:
         _refuse_class(target_class, labels, {row["class"] for _, row in table.rows})
     present = listed_files(folder, table, rows, "path", of="chip")
-    if unlabelled := len(jpegs - {folder / row["path"] for _, row in table.rows if row["class"]}):
+    labelled = {folder / row["path"] for _, row in table.rows if row["class"]}
+    if unlabelled := len(jpegs - labelled - {path for _, path in present}):
         warn_caller(f"{labels} has no label for {counted(unlabelled, 'JPEG')} in {folder}; add those that you need")
+    paths = {row[1]["path"]: path for row, path in present}
     chosen = _once(labels, _complete(labels, [row for row, _ in present], unplaced))
     for row in chosen:
         if column := unusual_look(table, row):
@@ -203,7 +205,7 @@ def _jpeg_chips(
             depression=round(table.number(row, _DESIRED)),
             grazing_deg=table.number(row, _MEASURED),
             target_az_deg=table.direction(row, _AZIMUTH) % 360 if row[1][_AZIMUTH] else math.nan,
-            read=partial(_magnitude, folder / row[1]["path"], step),
+            read=partial(_magnitude, paths[row[1]["path"]], step),
             step=step,
             near=cast(Side, one_of(table, row, _NEAR_SIDE, SIDES)) if row[1].get(_NEAR_SIDE) else "bottom",
             azimuth_std_deg=table.number(row, _AZIMUTH_STD) if row[1].get(_AZIMUTH_STD) else None,
