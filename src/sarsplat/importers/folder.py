@@ -18,8 +18,8 @@ from sarsplat.geometry import Place, Terrain
 from sarsplat.importers.about import AboutPictures
 from sarsplat.importers.geocoded import MapPicture, on_ground, resampled
 from sarsplat.importers.listed_images import (
-    Angles,
     Picture,
+    assumptions_of_table,
     check_spacing,
     in_range,
     read_pictures,
@@ -98,8 +98,9 @@ def import_folder(
             f"{listed.path} has several rows for one view, channels of a stack; import them with `sarsplat import "
             "stack`, or give each view another name"
         )
-    angles = Angles.of(about, _EAST_DEG if geocoded else 0.0)
-    pictures, assumptions = read_pictures(listed, about, angles, quantity, scale, offset, backscatter)
+    if geocoded and about.get("azimuth_offset_deg") is None:
+        about["azimuth_offset_deg"] = _EAST_DEG
+    pictures, assumptions = read_pictures(listed, about, quantity, scale, offset, backscatter)
     if geocoded_height_m and geocoded != "level":
         raise SarsplatError("`geocoded_height_m` is for `geocoded='level'`; give that too, or leave it out")
     place, layout = None, {"geocoded": geocoded}
@@ -111,7 +112,7 @@ def import_folder(
         ground = geocoded_height_m if geocoded == "level" else about.get("terrain")
         if ground is None:
             raise SarsplatError("`geocoded='terrain'` needs the heights that its producer took; give them as `terrain`")
-        images, place = _from_map(listed, pictures, ground, angles.offset_deg, assumptions)
+        images, place = _from_map(listed, pictures, ground, about.get("azimuth_offset_deg") or 0.0, assumptions)
     else:
         images, layout = in_range(listed, pictures, about, assumptions)
     source: dict[str, Any] = {
@@ -119,7 +120,7 @@ def import_folder(
         "scale": scale,
         "offset": offset,
         **layout,
-        "assumptions": [*assumptions, *angles.assumptions(listed, about, backscatter)],
+        "assumptions": [*assumptions, *assumptions_of_table(listed, about, backscatter)],
     }
     return write_pictures(out, folder, listed, images, about, source, kind="folder", place=place, overwrite=overwrite)
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, Self, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 from jaxtyping import Shaped
@@ -34,40 +34,6 @@ _SAME = 0.01
 """Relative difference of lengths that are rounded."""
 
 StatedPair = tuple[float | None, float | None]
-
-
-@dataclass(frozen=True)
-class Angles:
-    """Conventions of the table's angles, common to all pictures."""
-
-    offset_deg: float
-    """Azimuth of the table's azimuth 0, clockwise from the target's nose."""
-    counter_clockwise: bool
-    """True if azimuths of the table run counter-clockwise."""
-    grazing_deg: float | None
-    """Grazing angle of rows that state none."""
-
-    @classmethod
-    def of(cls, about: AboutPictures, offset_deg: float = 0.0) -> Self:
-        """Return the user's angles, with this offset unless another is given."""
-        given = about.get("azimuth_offset_deg")
-        offset = offset_deg if given is None else given
-        return cls(offset, about.get("counter_clockwise", False), about.get("grazing_deg"))
-
-    def assumptions(self, listed: PictureTable, about: AboutPictures, backscatter: Backscatter) -> list[str]:
-        """Return sentences on the angles, the unit of the power and the resolution."""
-        told = []
-        if "heading" in listed.columns and "azimuth" not in listed.columns:
-            told.append("azimuths are 90° to the left of headings, or to the right where the radar looks left")
-        told.append(
-            f"azimuths are directions to the radar, {'counter-' if self.counter_clockwise else ''}clockwise; 0 is "
-            f"{self.offset_deg:g}° from the target's nose"
-        )
-        if backscatter != "beta0":
-            told.append(f"the power is {backscatter}, and became β⁰ as on level ground")
-        if about.get("resolution_m") is None and not any("resolution" in meaning for meaning in listed.columns):
-            told.append("the resolution is the pixel spacing")
-        return told
 
 
 @dataclass(frozen=True)
@@ -104,7 +70,6 @@ class Picture:
 def read_pictures(
     listed: PictureTable,
     about: AboutPictures,
-    angles: Angles,
     quantity: Quantity | None,
     scale: float | None,
     offset: float | None,
@@ -122,7 +87,7 @@ def read_pictures(
         values = read_values(row.path, found, _either(given[0], 1.0), _either(given[1], 0.0), listed.real, own)
         _require_unit(listed, values.quantity)
         mirrored = about.get("mirrored", False) if row.looks_left is None else row.looks_left
-        view = view_of_picture(listed, row, angles, mirrored)
+        view = _view(listed, row, about, mirrored)
         factor, stated = values.power_factor, values.tags.backscatter or backscatter
         if stated != backscatter != "beta0":
             raise SarsplatError(f"{row.path} says that it holds {stated}; leave out `backscatter`")
@@ -144,6 +109,22 @@ def read_pictures(
     if unknown := sum(int(picture.values.unknown.sum()) for picture in pictures):
         assume(told, f"{counted(unknown, 'pixel')} hold what their files call no data, and are taken for zero")
     return pictures, told
+
+
+def assumptions_of_table(listed: PictureTable, about: AboutPictures, backscatter: Backscatter) -> list[str]:
+    """Return sentences on the angles, the unit of the power and the resolution."""
+    told = []
+    if "heading" in listed.columns and "azimuth" not in listed.columns:
+        told.append("azimuths are 90° to the left of headings, or to the right where the radar looks left")
+    told.append(
+        f"azimuths are directions to the radar, {'counter-' if about.get('counter_clockwise') else ''}clockwise; 0 is "
+        f"{about.get('azimuth_offset_deg') or 0.0:g}° from the target's nose"
+    )
+    if backscatter != "beta0":
+        told.append(f"the power is {backscatter}, and became β⁰ as on level ground")
+    if about.get("resolution_m") is None and not any("resolution" in meaning for meaning in listed.columns):
+        told.append("the resolution is the pixel spacing")
+    return told
 
 
 def in_range(
@@ -315,24 +296,25 @@ def check_spacing(name: str, pitch: Pair, stated: StatedPair, axes: str) -> None
         )
 
 
-def view_of_picture(listed: PictureTable, row: ListedPicture, angles: Angles, left: bool) -> View:
+def _view(listed: PictureTable, row: ListedPicture, about: AboutPictures, left: bool) -> View:
     """Return the view of a picture; that of a radar looking `left` is of its mirror image, as if it looked right."""
     tilt = row.tilt_deg or 0.0
-    grazing = angles.grazing_deg if row.grazing_deg is None else row.grazing_deg
+    grazing = about.get("grazing_deg") if row.grazing_deg is None else row.grazing_deg
     if grazing is None:
         remedy = "name the column with `columns={'grazing': 'NAME'}` (or incidence), or give `grazing_deg` for all"
         listed.refuse_unstated("grazing angle", row, remedy)
+    offset = about.get("azimuth_offset_deg") or 0.0
     unknown = row.azimuth_std_deg == math.inf
-    azimuth = 0.0 if unknown else angles.offset_deg + _azimuth(listed, row, angles)
+    azimuth = 0.0 if unknown else offset + _azimuth(listed, row, about.get("counter_clockwise", False))
     return view_of(f"{listed.path}: {row.name}", azimuth, grazing, -tilt if left else tilt)
 
 
-def _azimuth(listed: PictureTable, row: ListedPicture, angles: Angles) -> float:
+def _azimuth(listed: PictureTable, row: ListedPicture, counter_clockwise: bool) -> float:
     """Return the direction to the radar, degrees clockwise from the table's azimuth 0, of an azimuth or a heading."""
     heading = row.heading_deg
     across = None if heading is None or row.looks_left is None else heading + (90 if row.looks_left else -90)
     if row.azimuth_deg is not None:
-        azimuth = -row.azimuth_deg if angles.counter_clockwise else row.azimuth_deg
+        azimuth = -row.azimuth_deg if counter_clockwise else row.azimuth_deg
         if across is not None:
             _require_heading(listed, row, azimuth, across)
         return azimuth
@@ -343,7 +325,7 @@ def _azimuth(listed: PictureTable, row: ListedPicture, angles: Angles) -> float:
             f"{row.name} looks; give it as `look` or a column look (right or left), or name a column of azimuths "
             "with `columns={'azimuth': 'NAME'}`"
         )
-    if angles.counter_clockwise:
+    if counter_clockwise:
         raise SarsplatError(
             f"{listed.path} has headings ({column}), which run clockwise; leave out `counter_clockwise`, or name a "
             "column of azimuths with `columns={'azimuth': 'NAME'}`"

@@ -15,7 +15,7 @@ from sarsplat.data.dataset import Dataset
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.geometry import Stack
 from sarsplat.importers.about import AboutPictures
-from sarsplat.importers.listed_images import Angles, in_range, read_pictures, write_pictures
+from sarsplat.importers.listed_images import assumptions_of_table, in_range, read_pictures, write_pictures
 from sarsplat.importers.measured_image import MeasuredImage
 from sarsplat.importers.table import ListedPicture, PictureTable, read_picture_table
 from sarsplat.names import Backscatter, Transmit
@@ -91,8 +91,7 @@ def import_stack(
     """
     folder = Path(folder)
     listed = read_picture_table(folder, about)
-    angles = Angles.of(about)
-    pictures, assumptions = read_pictures(listed, about, angles, "complex", scale, None, backscatter)
+    pictures, assumptions = read_pictures(listed, about, "complex", scale, None, backscatter)
     images, layout = in_range(listed, pictures, about, assumptions)
     images = [
         _stack(listed, view, channels, wavelength_m, transmit, noise, conjugate, flattened)
@@ -105,7 +104,7 @@ def import_stack(
         **layout,
         "assumptions": [
             *assumptions,
-            *angles.assumptions(listed, about, backscatter),
+            *assumptions_of_table(listed, about, backscatter),
             f"what is farther away has {'more' if conjugate else 'less'} phase in the files",
             "the phases of the level plane z = 0 were taken out of the files"
             if flattened
