@@ -200,7 +200,7 @@ class SplitSource:
     name: str
     target: str
     parts: list[dict[str, int | str]]
-    """As `mstar_splits.Divided.counts`."""
+    """See `mstar_splits.Counts`."""
     unplaced: int
     """Number of chips without azimuth."""
 

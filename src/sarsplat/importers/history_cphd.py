@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +58,7 @@ def read_cphd(path: str | Path, channel: str | None = None) -> PhaseHistory:
         moved_m=(received - sent) / 2,
         shown_m=_shown(cphd, chosen, pulses, step_hz),
         place=place,
-        lit=_Dwell(cphd, chosen, _times(pulses)).lit,
+        lit=partial(_lit, cphd, chosen, _times(pulses)),
         collection=_collection(cphd, chosen),
     )
 
@@ -207,52 +208,48 @@ def _times(pulses: dict[str, Any]) -> Float64[np.ndarray, " pulses"]:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class _Dwell:
-    """Dwell of a channel: the pulses that saw a place, about its centre of dwell while it was in the beam."""
+def _lit(
+    cphd: Cphd, channel: Channel, times_s: Float64[np.ndarray, " pulses"], places: Float64[np.ndarray, "places 3"]
+) -> Bool[np.ndarray, " pulses"]:
+    """Return the pulses of a channel that saw all of some places (ECEF): those of their dwell, about its centre.
 
-    cphd: Cphd
-    channel: Channel
-    times_s: Float64[np.ndarray, " pulses"]
+    Raises if a place is outside the image area.
+    """
+    from sarkit.cphd import ecf_to_iac
 
-    def lit(self, places: Float64[np.ndarray, "places 3"]) -> Bool[np.ndarray, " pulses"]:
-        """Return the pulses that saw all of these places, ECEF; raise if one is outside the image area."""
-        from sarkit.cphd import ecf_to_iac
+    with sarkit_errors(cphd.path, "CPHD"):
+        x, y = ecf_to_iac(cphd.tree, places)[:, :2].T
+        _require_within(cphd, x, y)
+        middle, duration = (
+            np.polynomial.polynomial.polyval2d(x, y, _dwell_polynomial(cphd, channel, *kind))
+            for kind in (("CODTime", "CODId"), ("DwellTime", "DwellId"))
+        )
+        if not (np.isfinite(middle) & np.isfinite(duration)).all():
+            raise_damaged(cphd.path, "has dwell times that are not finite")
+        return (np.abs(times_s - middle[:, None]) <= duration[:, None] / 2).all(axis=0)
 
-        with sarkit_errors(self.cphd.path, "CPHD"):
-            x, y = ecf_to_iac(self.cphd.tree, places)[:, :2].T
-            self._require_within(x, y)
-            middle, duration = (np.polynomial.polynomial.polyval2d(x, y, part) for part in self._polynomials())
-            if not (np.isfinite(middle) & np.isfinite(duration)).all():
-                raise_damaged(self.cphd.path, "has dwell times that are not finite")
-            return (np.abs(self.times_s - middle[:, None]) <= duration[:, None] / 2).all(axis=0)
 
-    def _polynomials(self) -> tuple[np.ndarray, np.ndarray]:
-        """Load the polynomials of the centre and the duration of the dwell."""
-        named = f"Channel/Parameters[{{*}}Identifier='{self.channel.name}']/DwellTimes"
-        found = []
-        for kind, identifier in (("CODTime", "CODId"), ("DwellTime", "DwellId")):
-            chosen = self.cphd.text(f"{named}/{identifier}")
-            polynomial = None
-            if "'" not in chosen:
-                polynomial = self.cphd.load(f"Dwell/{kind}[{{*}}Identifier='{chosen}']/{kind}Poly")
-            if polynomial is None:
-                raise_damaged(self.cphd.path, f"has no dwell times ({kind})")
-            found.append(polynomial)
-        return found[0], found[1]
+def _dwell_polynomial(cphd: Cphd, channel: Channel, kind: str, identifier: str) -> np.ndarray:
+    """Load the polynomial of the centre (CODTime) or the duration (DwellTime) of a channel's dwell."""
+    chosen = cphd.text(f"Channel/Parameters[{{*}}Identifier='{channel.name}']/DwellTimes/{identifier}")
+    polynomial = None if "'" in chosen else cphd.load(f"Dwell/{kind}[{{*}}Identifier='{chosen}']/{kind}Poly")
+    if polynomial is None:
+        raise_damaged(cphd.path, f"has no dwell times ({kind})")
+    return np.asarray(polynomial)
 
-    def _require_within(self, x: Float64[np.ndarray, " n"], y: Float64[np.ndarray, " n"]) -> None:
-        corners = [self.cphd.load(f"SceneCoordinates/ImageArea/{name}") for name in ("X1Y1", "X2Y2")]
-        if any(corner is None or not np.all(np.isfinite(corner)) for corner in corners):
-            raise_damaged(self.cphd.path, "has no valid ImageArea")
-        low, high = np.sort(corners, axis=0)
-        if min(x.min() - low[0], y.min() - low[1], high[0] - x.max(), high[1] - y.max()) < 0:
-            place = self.cphd.place
-            raise SarsplatError(
-                f"{self.cphd.path} shows {high[0] - low[0]:.0f} m × {high[1] - low[1]:.0f} m about "
-                f"{place.latitude_deg:.6f}, {place.longitude_deg:.6f}, which does not contain the image; "
-                "give a smaller `size_m`, or a `place` or `around_m` within it"
-            )
+
+def _require_within(cphd: Cphd, x: Float64[np.ndarray, " n"], y: Float64[np.ndarray, " n"]) -> None:
+    corners = [cphd.load(f"SceneCoordinates/ImageArea/{name}") for name in ("X1Y1", "X2Y2")]
+    if any(corner is None or not np.all(np.isfinite(corner)) for corner in corners):
+        raise_damaged(cphd.path, "has no valid ImageArea")
+    low, high = np.sort(corners, axis=0)
+    if min(x.min() - low[0], y.min() - low[1], high[0] - x.max(), high[1] - y.max()) < 0:
+        place = cphd.place
+        raise SarsplatError(
+            f"{cphd.path} shows {high[0] - low[0]:.0f} m × {high[1] - low[1]:.0f} m about "
+            f"{place.latitude_deg:.6f}, {place.longitude_deg:.6f}, which does not contain the image; "
+            "give a smaller `size_m`, or a `place` or `around_m` within it"
+        )
 
 
 def _collection(cphd: Cphd, channel: Channel) -> dict[str, str]:

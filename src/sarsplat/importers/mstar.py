@@ -37,7 +37,7 @@ from sarsplat.importers.files import warn_caller
 from sarsplat.importers.images import dataset_of, with_unplaced, write_imported
 from sarsplat.importers.measured_image import MeasuredImage, view_of
 from sarsplat.importers.mstar_chips import Chip, plain_name, read_chips
-from sarsplat.importers.mstar_splits import SPLITS, divide
+from sarsplat.importers.mstar_splits import SPLITS, Counts, divide
 from sarsplat.names import MstarSplit
 
 MIN_DN = 2.0
@@ -120,26 +120,23 @@ def import_mstar(
     _check(train_views, depressions)  # before thousands of chips are read
     table, several = None if labels is None else Path(labels), False
     unplaced: list[tuple[str, Chip]] = []  # with their sets
-    counts: list[dict[str, int | str]] = []
+    counts: Counts = []
     if split is None:
         every = _one_vehicle(read_chips(Path(chips), table, target_class), target_class, serial)
         train = _training_chips(every, train_views, depressions)
     else:
         names = SPLITS[split].names_of(target_class)
-        divided = divide(read_chips(Path(chips), table, names, unplaced=True), split, target_class)
-        counts, depressions = divided.counts, sorted({chip.depression for chip in divided.train})
-        placed = [chip for chip in divided.train if chip.placed]
+        training, testing, counts = divide(read_chips(Path(chips), table, names, unplaced=True), split, target_class)
+        depressions = sorted({chip.depression for chip in training})
+        placed = [chip for chip in training if chip.placed]
         if not placed:
             raise SarsplatError(f"no training chip of {target_class} has a target_az_deg in {labels}; fill some in")
         train = _training_chips(placed, train_views, depressions)
-        every = [*placed, *(chip for chip in divided.test if chip.placed)]
-        of_split = [*divided.train, *divided.test]
-        several = len({plain_name(chip.serial) for chip in of_split}) > 1
+        every = [*placed, *(chip for chip in testing if chip.placed)]
+        several = len({plain_name(chip.serial) for chip in (*training, *testing)}) > 1
         left_out = len(train) < len(placed)  # then no chip without azimuth is trained on, either
-        unplaced += [
-            (_test_set(chip, several) if left_out else "train", chip) for chip in divided.train if not chip.placed
-        ]
-        unplaced += [(_test_set(chip, several), chip) for chip in divided.test if not chip.placed]
+        unplaced += [(_test_set(chip, several) if left_out else "train", chip) for chip in training if not chip.placed]
+        unplaced += [(_test_set(chip, several), chip) for chip in testing if not chip.placed]
     if not any(chip.magnitude.any() for chip in train):
         black = "the training chip is" if len(train) == 1 else f"all {len(train)} training chips are"
         raise SarsplatError(f"{black} black; choose others, or remove black ones from {chips}")

@@ -102,19 +102,13 @@ SPLITS: dict[MstarSplit, Split] = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Divided:
-    """Chips of one class, divided by a split, in the order of the files."""
-
-    train: list[Chip]
-    test: list[Chip]
-    counts: list[dict[str, int | str]]
-    """For each part: its "set" ("train" or "test"), "part" in words, the chips "found" and "published", and how many
-    of those found have no azimuth ("without_azimuth")."""
+Counts = list[dict[str, int | str]]
+"""For each part: its "set" ("train" or "test"), "part" in words, the chips "found" and "published", and how many of
+those found have no azimuth ("without_azimuth")."""
 
 
-def divide(chips: Sequence[Chip], split: MstarSplit, target: str) -> Divided:
-    """Divide the chips of a class by a split, without copies; warn of those left out.
+def divide(chips: Sequence[Chip], split: MstarSplit, target: str) -> tuple[list[Chip], list[Chip], Counts]:
+    """Return the chips of a class that train in a split and those that test, without copies; warn of those left out.
 
     Raises if the split does not train that class, or there is no chip to train on.
     """
@@ -123,7 +117,7 @@ def divide(chips: Sequence[Chip], split: MstarSplit, target: str) -> Divided:
         raise SarsplatError(f"the split {split} has no class {target}; it has {', '.join(chosen.classes)}")
     chips = _once(chips, target)
     found: dict[str, list[Chip]] = {"train": [], "test": []}
-    counts: list[dict[str, int | str]] = []
+    counts: Counts = []
     for name, parts in (("train", chosen.train), ("test", chosen.test)):
         for part in parts:
             if not same_class(target, part.target):
@@ -147,7 +141,7 @@ def divide(chips: Sequence[Chip], split: MstarSplit, target: str) -> Divided:
         kinds = Counter(f"{chip.serial or 'an unnamed vehicle'} at {chip.depression}°" for chip in others)
         said = ", ".join(f"{number} of {kind}" for kind, number in sorted(kinds.items()))
         warn_caller(f"{target}: left out {counted(len(others), 'chip')} that the split {split} has not ({said})")
-    return Divided(found["train"], found["test"], counts)
+    return found["train"], found["test"], counts
 
 
 def _once(chips: Sequence[Chip], target: str) -> list[Chip]:
@@ -161,7 +155,7 @@ def _once(chips: Sequence[Chip], target: str) -> list[Chip]:
     return list(first.values())
 
 
-def in_words(counts: Sequence[dict[str, int | str]]) -> Iterator[str]:
+def in_words(counts: Counts) -> Iterator[str]:
     """Yield a sentence for each part of a split: numbers of chips found and published."""
     for one in counts:
         found, published, unplaced = (int(one[key]) for key in ("found", "published", "without_azimuth"))
