@@ -164,7 +164,7 @@ MIDDLE = r"the middle of image\.nitf is `pixel=\(150, 140\)`, or `around=\(47\.3
         ({"around": (48.0, 8.5)}, f"another spot: {MIDDLE}"),
         ({"around": (-47.3, -171.0)}, f"does not show the spot .*; {MIDDLE}"),
         ({"pixel": (400.0, 10.0)}, r"is outside .* 300 rows and 280 columns, .*`pixel=\(150, 140\)`"),
-        ({"heading_deg": 400.0}, "must be a compass heading"),
+        ({"heading_deg": math.nan}, "x_towards_deg nan"),
     ],
 )
 def test_requests_that_a_sicd_cannot_meet(tmp_path, options, told):

@@ -265,12 +265,6 @@ def place_of(numbers: Sequence[float], height_m: float, heading_deg: float = 90.
     return Place(numbers[0], numbers[1], numbers[2] if len(numbers) == 3 else height_m, heading_deg)
 
 
-def check_heading(heading_deg: float) -> None:
-    """Raise if a number is no compass heading."""
-    if not abs(heading_deg) <= 360:
-        raise SarsplatError(f"the heading {heading_deg:g}° must be a compass heading, 0 to 360°")
-
-
 def said_of_heading(heading_deg: float) -> str:
     """Return a sentence on azimuths in a scene whose x axis has this heading."""
     return (

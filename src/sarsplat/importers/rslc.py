@@ -25,7 +25,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import Place, Stack, View
 from sarsplat.importers.about import AboutImages
 from sarsplat.importers.files import check_pixel, raise_damaged
-from sarsplat.importers.images import check_heading, dataset_of, said_of_heading, sides_of, write_imported
+from sarsplat.importers.images import dataset_of, said_of_heading, sides_of, write_imported
 from sarsplat.importers.measured_image import MeasuredImage
 from sarsplat.importers.phase_history import SPEED_OF_LIGHT
 from sarsplat.importers.rslc_file import Rslc, read_rslc
@@ -150,7 +150,6 @@ def _seen(
     """Return view, pixel spacing and 3 dB widths (azimuth, range) of the spot, m, and whether the stated band exceeds
     the sampled one.
     """
-    check_heading(heading_deg)
     time, away = _time_and_range(rslc, spot)
     east, north, speed = rslc.geolocation.at(height_m, time, away)
     up = math.sqrt(max(1 - east * east - north * north, 0.0))

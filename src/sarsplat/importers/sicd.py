@@ -24,7 +24,6 @@ from sarsplat.importers.about import AboutImages
 from sarsplat.importers.files import each_once, warn_caller
 from sarsplat.importers.images import (
     assume,
-    check_heading,
     check_size,
     dataset_of,
     place_of,
@@ -117,7 +116,6 @@ def import_sicd(
     folders.refuse_existing(Path(out), overwrite, marker=HEADER)
     paths = each_once(files)
     check_size(size_m)
-    check_heading(heading_deg)
     sicds = [read_sicd(path) for path in paths]
     for text in filter(None, map(said_of_place, sicds)):
         warn_caller(text)
