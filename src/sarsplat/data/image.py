@@ -162,8 +162,10 @@ def as_signal(signal: Complex[np.ndarray, "*shape"], name: str) -> Complex64[np.
         return signal.astype(np.complex64, copy=False)
 
 
-def power_of(signal: Complex64[np.ndarray, "*shape"]) -> Float32[np.ndarray, "*shape"]:
-    """Return |signal|², linear power."""
+def power_of(signal: Shaped[np.ndarray, "*shape"]) -> Shaped[np.ndarray, "*shape"]:
+    """Return |signal|², linear power; real numbers are power and returned unchanged."""
+    if signal.dtype.kind != "c":
+        return signal
     with np.errstate(over="ignore"):
         return np.square(signal.real) + np.square(signal.imag)
 

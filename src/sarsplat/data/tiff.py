@@ -71,5 +71,5 @@ def read_tiff(path: Path, shape: tuple[int, ...], pixel: DTypeLike = np.float32)
             f"{counted(pages, 'page')} of uncompressed {dtype} of shape {shape[-2:]}"
         )
     image = np.asarray(image, dtype=dtype)
-    check_power(power_of(image) if np.iscomplexobj(image) else image, str(path))
+    check_power(power_of(image), str(path))
     return image

@@ -170,7 +170,7 @@ def _from_map(
     on_map = [
         MapPicture(
             picture.row.name,
-            power_of(picture.values.image) if picture.values.image.dtype.kind == "c" else picture.values.image,
+            power_of(picture.values.image),
             picture.values.unknown,
             picture.view,
             affine,

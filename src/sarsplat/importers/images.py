@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from jaxtyping import Float32, Num, Shaped
+from jaxtyping import Float32, Shaped
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data.coverage import evenly_chosen, largest_gap
@@ -116,7 +116,7 @@ def dataset_of(
         assume(assumptions, sentence)
     grid = _common_grid(images, assumptions)
     pixels = np.stack([_on(image, grid) for image in images])
-    power = _power(pixels)
+    power = power_of(pixels)
     zeros = power == 0
     if zeros.all():
         black = "the image is" if len(images) == 1 else f"all {len(images)} images are"
@@ -130,7 +130,7 @@ def dataset_of(
             f"to {to_db(_LEAST_POWER):g} dB of the median power",
         )
     if calibration == "relative":
-        trained = _power(pixels[[image.split == "train" for image in images]])
+        trained = power_of(pixels[[image.split == "train" for image in images]])
         scale = float(trained.mean(dtype=np.float64)) if trained.size else 1.0
         if not _FAINTEST < scale < 1 / _FAINTEST:  # also catches what is not finite
             raise SarsplatError(
@@ -223,7 +223,7 @@ def with_unplaced(
         for own, shown in ((image.grid.azimuth_m, grid.azimuth_m), (image.grid.range_m, grid.range_m)):
             if max(own[0] - shown[0], shown[-1] - own[-1]) > _SAME_PLACE * (shown[1] - shown[0]):
                 raise SarsplatError(f"{image.name}, without azimuth, shows less than the others; remove it")
-        power = _power(_on(image, grid)) / np.float32(dataset.source.get("mean_power", 1))
+        power = power_of(_on(image, grid)) / np.float32(dataset.source.get("mean_power", 1))
         file = f"{UNPLACED}/{len(pictures):04}.tif"
         pictures[file] = np.where(power > 0, power, np.float32(_LEAST_POWER * np.median(dataset.power)))
         listed.append({"name": image.name, "file": file, "set": image.split, "grazing_deg": image.view.grazing_deg})
@@ -359,10 +359,6 @@ def _on(image: MeasuredImage, grid: ImageGrid) -> Shaped[np.ndarray, "*channels 
     resampled = resample(image.pixels, rows, columns)
     # a sinc undershoots beside what is bright
     return resampled if resampled.dtype.kind == "c" else np.maximum(resampled, 0)
-
-
-def _power(pixels: Num[np.ndarray, "*shape"]) -> Shaped[np.ndarray, "*shape"]:
-    return power_of(pixels) if pixels.dtype.kind == "c" else pixels
 
 
 def _require_one_kind(images: Sequence[MeasuredImage]) -> None:

@@ -97,8 +97,7 @@ def _of_pictures(
     view = seen_alike(runs[0].snapshot.views, 0.0, grazing_deg)
     for path in paths:
         values = read_values(path, quantity, 1.0, 0.0)
-        power = power_of(values.image) if np.iscomplexobj(values.image) else values.image
-        power = oriented(power * np.float32(values.power_factor), near)
+        power = oriented(power_of(values.image) * np.float32(values.power_factor), near)
         yield Chip(path.name, power, replace(runs[0].grid, rows=power.shape[0], columns=power.shape[1]), view)
 
 
