@@ -44,8 +44,14 @@ def with_data(images: Sequence[MeasuredImage], ground: bool) -> tuple[list[Measu
         )
     if not ground:
         return [*images], told
-    cut, sentence = _without_empty_corners(images)
-    return cut, [*told, *([sentence] if sentence else [])]
+    cut = [_without_empty_corners(image) for image in images]
+    if changed := [image.name for image, part in zip(images, cut, strict=True) if part is not image]:
+        told.append(
+            f"{counted(len(changed), 'image')} of {len(images)}, the first {changed[0]}, "
+            f"{'has' if len(changed) == 1 else 'have'} zeros that reach from the corners, where there are no data; cut "
+            "to a rectangle without them"
+        )
+    return cut, told
 
 
 def _numbers(image: MeasuredImage) -> list[Shaped[np.ndarray, "rows columns"]]:
@@ -54,34 +60,23 @@ def _numbers(image: MeasuredImage) -> list[Shaped[np.ndarray, "rows columns"]]:
     return [np.abs(pixels.real), np.abs(pixels.imag)] if pixels.dtype.kind == "c" else [pixels]
 
 
-def _without_empty_corners(images: Sequence[MeasuredImage]) -> tuple[list[MeasuredImage], str]:
-    """Cut images to a rectangle without zeros that reach from a corner; also return a sentence about it, or "".
+def _without_empty_corners(image: MeasuredImage) -> MeasuredImage:
+    """Cut an image to a rectangle without zeros that reach from a corner; return the image itself without such.
 
-    Raises if they are most of an image: then it is probably the target that was cut out.
+    Raises if they are most of it: then it is probably the target that was cut out.
     """
-    cut: list[MeasuredImage] = []
-    changed: list[str] = []
-    for image in images:
-        empty = _empty_corners((image.pixels == 0).reshape(-1, *image.pixels.shape[-2:]).all(axis=0))
-        share = float(empty.mean())
-        if share > _MOST_SHARE:
-            raise SarsplatError(
-                f"{share:.0%} of the pixels of {image.name} are zeros that reach from its corners; cut these off, or, "
-                "if it shows nothing around the target, give `ground=False`"
-            )
-        if share >= _LEAST_SHARE:
-            changed.append(image.name)
-            rows, columns = _filled_rectangle(~empty)
-            center = float(image.grid.azimuth_m[columns].mean()), float(image.grid.range_m[rows].mean())
-            image = replace(image, pixels=image.pixels[..., rows, columns], center_m=center)
-        cut.append(image)
-    if not changed:
-        return cut, ""
-    return cut, (
-        f"{counted(len(changed), 'image')} of {len(images)}, the first {changed[0]}, "
-        f"{'has' if len(changed) == 1 else 'have'} zeros that reach from the corners, where there are no data; cut to "
-        "a rectangle without them"
-    )
+    empty = _empty_corners((image.pixels == 0).reshape(-1, *image.pixels.shape[-2:]).all(axis=0))
+    share = float(empty.mean())
+    if share > _MOST_SHARE:
+        raise SarsplatError(
+            f"{share:.0%} of the pixels of {image.name} are zeros that reach from its corners; cut these off, or, "
+            "if it shows nothing around the target, give `ground=False`"
+        )
+    if share < _LEAST_SHARE:
+        return image
+    rows, columns = _filled_rectangle(~empty)
+    center = float(image.grid.azimuth_m[columns].mean()), float(image.grid.range_m[rows].mean())
+    return replace(image, pixels=image.pixels[..., rows, columns], center_m=center)
 
 
 def _empty_corners(zeros: Bool[np.ndarray, "rows columns"]) -> Bool[np.ndarray, "rows columns"]:

@@ -37,8 +37,8 @@ def read_gotcha(path: str | Path) -> PhaseHistory:
     samples = _array(path, record, "fp", "c")
     if samples.ndim != 2:
         raise_damaged(path, f"has a field fp of the shape {samples.shape}, not frequencies × pulses")
-    antenna = np.stack(_of_pulses(path, record, ("x", "y", "z"), samples.shape[1]), axis=1)
-    (reference,) = _of_pulses(path, record, ("r0",), samples.shape[1])
+    antenna = np.stack([_of_pulses(path, record, name, samples.shape[1]) for name in "xyz"], axis=1)
+    reference = _of_pulses(path, record, "r0", samples.shape[1])
     with np.errstate(over="ignore", invalid="ignore"):  # what becomes infinite is refused
         samples, reference = _focused(path, record, samples, reference)
         samples = samples.astype(np.complex64)
@@ -77,17 +77,16 @@ def _focused(
     autofocus = record.get("af")
     if not isinstance(autofocus, dict):
         return samples, reference
-    distance, phase = _of_pulses(path, autofocus, ("r_correct", "ph_correct"), samples.shape[1])
+    distance, phase = (_of_pulses(path, autofocus, name, samples.shape[1]) for name in ("r_correct", "ph_correct"))
     return samples * np.exp(1j * phase), reference + distance
 
 
-def _of_pulses(path: Path, record: dict[str, Any], names: tuple[str, ...], pulses: int) -> list[np.ndarray]:
-    """Read fields with a number for each pulse."""
-    lines = [_line(path, record, name) for name in names]
-    for name, values in zip(names, lines, strict=True):
-        if len(values) != pulses:
-            raise_damaged(path, f"has {len(values)} values of {name} for {pulses} pulses")
-    return lines
+def _of_pulses(path: Path, record: dict[str, Any], name: str, pulses: int) -> Float64[np.ndarray, " pulses"]:
+    """Read a field with a number for each pulse."""
+    values = _line(path, record, name)
+    if len(values) != pulses:
+        raise_damaged(path, f"has {len(values)} values of {name} for {pulses} pulses")
+    return values
 
 
 def _line(path: Path, record: dict[str, Any], name: str) -> Float64[np.ndarray, " n"]:

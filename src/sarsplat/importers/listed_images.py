@@ -44,13 +44,8 @@ class Picture:
     """Row, completed by what the user states of all pictures."""
     values: Values
     view: View
-    ground_range: bool
-    """True if lengths in range are along the ground."""
-
-    @property
-    def slant(self) -> float:
-        """Length in the slant plane of a stated metre in range."""
-        return self.view.look.slant_range(1.0) if self.ground_range else 1.0
+    slant: float
+    """Length in the slant plane of a stated metre in range."""
 
     @property
     def resolved(self) -> bool:
@@ -94,7 +89,8 @@ def read_pictures(
         if row.power_factor is not None:
             factor = row.power_factor
         values = replace(values, image=_beta0(values.image, view, stated, factor))
-        pictures.append(Picture(row, values, view, about.get("ground_range", False)))
+        slant = view.look.slant_range(1.0) if about.get("ground_range") else 1.0
+        pictures.append(Picture(row, values, view, slant))
     columns = ", ".join(f"{meaning} = {name}" for meaning, name in listed.columns.items())
     told = [f"columns of the table: {columns}"]
     stating = [one.row.name for one in pictures if one.values.power_factor != 1]

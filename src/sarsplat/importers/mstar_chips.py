@@ -13,7 +13,7 @@ from typing import Any, NoReturn, cast
 import numpy as np
 from jaxtyping import Float32
 
-from sarsplat.data.csv_table import CsvTable, Row, read_table, relative_path
+from sarsplat.data.csv_table import CsvTable, Row, read_table
 from sarsplat.data.orientation import SIDES
 from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry.responses import TAYLOR, Response
@@ -257,14 +257,8 @@ def _once(labels: Path, rows: Sequence[Row]) -> list[Row]:
 
 
 def read_labels(path: Path) -> CsvTable:
-    """Read the table of labels.
-
-    Raises if it cannot be read, a column is missing, there are no rows or too many, or a path leads out of the folder.
-    """
-    table = read_table(path, "the table of labels", LABEL_COLUMNS)
-    for row in table.rows:
-        relative_path(path, row, "path", of="chips")
-    return table
+    """Read the table of labels; raise if it cannot be read, or a column is missing."""
+    return read_table(path, "the table of labels", LABEL_COLUMNS)
 
 
 def _steps(table: CsvTable, rows: Sequence[Row]) -> list[float]:

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Complex64, Shaped
 
 from sarsplat.data.csv_table import parsed
 from sarsplat.data.files import open_file
-from sarsplat.data.geotiff import UNDEFINED, Georeference, georeference_of, opened_raster
+from sarsplat.data.geotiff import KEYS, UNDEFINED, Georeference, georeference_of, opened_raster
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.importers.columns import FACTORS
 from sarsplat.names import Backscatter
@@ -28,8 +28,7 @@ _STATED = re.compile(r'"(?:\w+:)?(scale_factor|calibration_factor|radiometry)"\s
 """A factor or its normalisation in JSON, perhaps with a prefix."""
 _FREE_VALUES, _VALUES_PER_BYTE = 4 << 20, 1032
 """Maximum number of values in a picture, or for each byte of its file (as DEFLATE packs zeros) if more."""
-_GEO_KEYS = 34735
-_MEANINGS = {274, 33550, 33922, 34264, _GEO_KEYS, 42112, 42113}
+_MEANINGS = {274, 33550, 33922, 34264, KEYS, 42112, 42113}
 """Tags of orientation, places, scales and "no data"."""
 _CHANNEL = re.compile(r"(?<![a-z])[hv][hv](?![a-z])", re.IGNORECASE)
 """A polarisation in the name of a band, such as Sigma0_VV."""

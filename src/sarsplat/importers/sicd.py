@@ -41,7 +41,7 @@ from sarsplat.importers.sicd_chip import (
     stack_image,
 )
 from sarsplat.importers.sicd_file import Sicd, read_sicd
-from sarsplat.importers.sicd_geometry import Layout, layout_around, said_of_place, spot_of_centre, spot_of_pixel
+from sarsplat.importers.sicd_geometry import Layout, layout_around, said_of_place, spot_of_pixel
 
 _LEANS = 0.05
 """Minimum displacement that is reported, m for each metre of height."""
@@ -172,8 +172,8 @@ def _spot(
         raise SarsplatError("`around` and `pixel` were both given; give one of them")
     if pixel is not None:
         return spot_of_pixel(first, pixel, heading_deg)
-    centre = spot_of_centre(first, heading_deg)
-    return centre if around is None else place_of(around, centre.height_m, heading_deg)
+    centre = first.projection
+    return place_of((centre.SCP_Lat, centre.SCP_Lon) if around is None else around, centre.SCP_HAE, heading_deg)
 
 
 def _facts(sicd: Sicd, layout: Layout) -> dict[str, Any]:

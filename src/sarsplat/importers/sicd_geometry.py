@@ -117,12 +117,6 @@ def said_of_place(sicd: Sicd) -> str | None:
     )
 
 
-def spot_of_centre(sicd: Sicd, heading_deg: float) -> Place:
-    """Return the scene centre point of an image."""
-    metadata = sicd.projection
-    return Place(float(metadata.SCP_Lat), float(metadata.SCP_Lon), float(metadata.SCP_HAE), heading_deg)
-
-
 def layout_around(sicd: Sicd, spot: Place, extent_m: float, *, tilted: bool = False) -> Layout:
     """Return the layout of the ground up to `extent_m` from the spot, in azimuth and slant range.
 
