@@ -297,16 +297,10 @@ def _check_extent(aperture: Aperture, grid: ImageGrid) -> None:
     distance = history.beyond_m(slice(None), _edge(aperture, grid))
     nearest, farthest = history.limits_m.T
     if (distance.min(axis=1) < nearest).any() or (distance.max(axis=1) > farthest).any():
-        if history.shown_m is None:
-            raise SarsplatError(
-                f"{history.name}: the image reaches {np.abs(distance).max():.1f} m in range from the scene centre, but "
-                f"frequencies in steps of {history.step_hz[0] / 1e6:.3g} MHz show ±{farthest.min():.1f} m; give a "
-                "smaller `size_m`, or an `around_m` nearer to it"
-            )
         raise SarsplatError(
             f"{history.name}: the image reaches from {distance.min():.1f} m to {distance.max():.1f} m in range beyond "
             f"the points that its pulses are referred to, but the file shows {nearest.max():.1f} m to "
-            f"{farthest.min():.1f} m; give a smaller `size_m`, or another place"
+            f"{farthest.min():.1f} m; give a smaller `size_m`, or an `around_m` or `place` nearer to these"
         )
     across = grid.columns * grid.spacing_m[0]
     if across > aperture.unambiguous_m:
