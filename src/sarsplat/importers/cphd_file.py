@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     import lxml.etree
 
 MAGIC = b"CPHD/"
-_LONGEST_HEADER = 1 << 16
-_END = b"\f\n"
 _SAMPLE_BYTES = {"CI2": 2, "CI4": 4, "CF8": 8}
 """Formats of samples in the standard → bytes of one."""
 _MOST_BYTES_OF_A_PULSE = 1 << 16
@@ -153,20 +151,20 @@ def open_cphd(path: Path) -> Cphd:
 
 def _tree(path: Path, file: BinaryIO) -> tuple[lxml.etree._ElementTree, dict[str, int]]:
     """Read the metadata, and the lengths of the blocks, which must lie in the file."""
-    size = path.stat().st_size
-    head = file.read(_LONGEST_HEADER)
-    lines, end, _ = head.partition(_END)
-    first, *others = lines.decode("latin-1").split("\n")
-    if not head.startswith(MAGIC):
+    from sarkit.cphd import read_file_header
+
+    size, sections = path.stat().st_size, {}
+    if file.read(len(MAGIC)) != MAGIC:
         raise SarsplatError(f"{path} is not a CPHD file; give one")
+    file.seek(0)
+    with sarkit_errors(path, "CPHD"):
+        first, values = read_file_header(file)
     version = first.removeprefix(MAGIC.decode()).strip()
     if version.startswith("0."):
         raise SarsplatError(f"{path} is CPHD of version {shown(version)}, which is not read; get it as 1.0.1 or 1.1.0")
-    values = dict(line.split(" := ", 1) for line in others if " := " in line)
-    sections = {}
     for block in ("XML", "PVP", "SIGNAL"):
         place, length = values.get(f"{block}_BLOCK_BYTE_OFFSET", ""), values.get(f"{block}_BLOCK_SIZE", "")
-        if not end or not all(text.isascii() and text.isdigit() and len(text) < 19 for text in (place, length)):
+        if not all(text.isascii() and text.isdigit() and len(text) < 19 for text in (place, length)):
             raise_damaged(path, f"has a header that does not say where its {block} block is")
         if int(place) + int(length) > size:
             raise_damaged(path, f"is truncated: {size} bytes, but its {block} block ends at {int(place) + int(length)}")

@@ -28,6 +28,10 @@ _AT_A_TIME = 1 << 19
 """Maximum number of samples in memory, of a file that is read in pieces."""
 
 
+_OF_PULSES = ("first_hz", "step_hz", "antenna_m", "reference_m", "moved_m", "shown_m")
+"""Fields of `PhaseHistory` with a number or a vector for each pulse, or None."""
+
+
 class Recorded(ABC):
     """Samples that stay in their file until they are needed."""
 
@@ -127,18 +131,10 @@ class PhaseHistory:
 
     def part(self, pulses: slice) -> Self:
         """Return some of its pulses."""
-        samples = self.samples
-        return replace(
-            self,
-            first_hz=self.first_hz[pulses],
-            step_hz=self.step_hz[pulses],
-            antenna_m=self.antenna_m[pulses],
-            reference_m=self.reference_m[pulses],
-            samples=samples[:, pulses] if isinstance(samples, np.ndarray) else samples.part(pulses),
-            moved_m=None if self.moved_m is None else self.moved_m[pulses],
-            shown_m=None if self.shown_m is None else self.shown_m[pulses],
-            lit=None,
-        )
+        stored = self.samples
+        samples = stored[:, pulses] if isinstance(stored, np.ndarray) else stored.part(pulses)
+        parts = {name: values[pulses] for name in _OF_PULSES if (values := getattr(self, name)) is not None}
+        return replace(self, samples=samples, lit=None, **parts)
 
     def seeing(self, places: Float64[np.ndarray, "places 3"]) -> Self:
         """Return the pulses that saw all of some places, world frame, m; raise if no pulse did."""
@@ -234,11 +230,8 @@ def _goes_on(first: PhaseHistory, second: PhaseHistory) -> bool:
 def _joined(pieces: Sequence[PhaseHistory]) -> PhaseHistory:
     if len(pieces) == 1:
         return pieces[0]
-    return PhaseHistory(
-        f"{pieces[0].name} … {Path(pieces[-1].name).name}",
-        np.concatenate([piece.first_hz for piece in pieces]),
-        np.concatenate([piece.step_hz for piece in pieces]),
-        np.concatenate([piece.antenna_m for piece in pieces]),
-        np.concatenate([piece.reference_m for piece in pieces]),
-        np.concatenate([piece.samples for piece in pieces], axis=1),
-    )
+    first = pieces[0]
+    stated = [name for name in _OF_PULSES if getattr(first, name) is not None]
+    joined = {name: np.concatenate([getattr(piece, name) for piece in pieces]) for name in stated}
+    samples = np.concatenate([piece.samples for piece in pieces], axis=1)
+    return replace(first, name=f"{first.name} … {Path(pieces[-1].name).name}", samples=samples, **joined)

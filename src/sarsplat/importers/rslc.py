@@ -150,8 +150,7 @@ def _seen(
     """Return view, pixel spacing and 3 dB widths (azimuth, range) of the spot, m, and whether the stated band exceeds
     the sampled one.
     """
-    time, away = _time_and_range(rslc, spot)
-    east, north, speed = rslc.geolocation.at(height_m, time, away)
+    east, north, speed = rslc.geolocation.at(height_m, *rslc.time_and_range(spot))
     up = math.sqrt(max(1 - east * east - north * north, 0.0))
     if not 0 < up < 1 or not 1 < speed < 1e5:
         raise_damaged(rslc.path, f"has an impossible radar direction {east:g}, {north:g} or speed {speed:g} m/s")
@@ -165,17 +164,11 @@ def _seen(
     return View.towards((ahead, left, up)), spacing, widths, tuple(widest) != stated
 
 
-def _time_and_range(rslc: Rslc, spot: tuple[float, float]) -> tuple[float, float]:
-    """Return azimuth time, s, and slant range, m, of a pixel."""
-    (start, interval), (near, step) = rslc.times_s, rslc.ranges_m
-    return start + interval * spot[0], near + step * spot[1]
-
-
 def _place(
     rslc: Rslc, spot: tuple[float, float], height_m: float, heading_deg: float
 ) -> tuple[Place | None, list[str]]:
     """Return the place of the spot by the geolocation grid, or None, and sentences on its dependence on height."""
-    found, higher = (rslc.geolocation.place(h, *_time_and_range(rslc, spot)) for h in (height_m, height_m + _HIGHER_M))
+    found, higher = (rslc.geolocation.place(h, *rslc.time_and_range(spot)) for h in (height_m, height_m + _HIGHER_M))
     if found is None:
         why = "does not determine it there" if rslc.geolocation.places is not None else "is not in WGS 84 (EPSG:4326)"
         return None, [f"where on earth that is stays unknown, for the geolocation grid {why}"]

@@ -117,6 +117,11 @@ class Rslc:
     mission: str
     geolocation: GeolocationGrid
 
+    def time_and_range(self, pixel: tuple[float, float]) -> tuple[float, float]:
+        """Return azimuth time, s, and slant range, m, of a pixel."""
+        (start, interval), (near, step) = self.times_s, self.ranges_m
+        return start + interval * pixel[0], near + step * pixel[1]
+
     def read(
         self, polarisation: str, lines: tuple[int, int], samples: tuple[int, int]
     ) -> Complex64[np.ndarray, "lines samples"]:
