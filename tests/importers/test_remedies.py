@@ -63,7 +63,6 @@ Case = tuple[str, str, list[Any], dict[str, Any], dict[str, Any]]
 NEW, HEADING, TRACK = (f"file,{name},grazing" for name in ("azimuth", "heading", "track"))
 LEFT = {"look": "left"}
 FOLDERS: list[Case] = [
-    ("names both", NEW + ",b", [30, 60], {"columns": {"grazing": "grazing", "inc": "b"}}, {"columns": {"inc": "b"}}),
     ("replaces the table", NEW, [30], {"names": "{azimuth}.npy"}, {"names": None}),
     ("columns in braces, each once", NEW, [30], {"names": "{az}_{az}.npy"}, {"names": None}),
     ("several columns that may be the azimuth", "file,azim,grazing,az", [30, 0], {}, {"columns": {"az": "azim"}}),

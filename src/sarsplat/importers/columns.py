@@ -111,8 +111,6 @@ def chosen_columns(table: CsvTable, named: Mapping[str, str]) -> Columns:
         _require_known(f"{table.path} has no column", column, table.columns)
         chosen[meaning] = column
     elevations = {"grazing", "incidence"}
-    if elevations <= chosen.keys():
-        raise SarsplatError("`columns` names both a grazing and an incidence angle; name one of them")
     decided = {*_ONLY_IF_NAMED, *(elevations if elevations & chosen.keys() else ())}
     for meaning in MEANINGS:
         if meaning not in chosen.keys() | decided and _INSTEAD.get(meaning) not in chosen:
