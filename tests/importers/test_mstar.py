@@ -82,13 +82,6 @@ def test_all_chips_of_a_depression_can_be_trained_on(chips):
     assert both.splits() == ("train",) and len(both) == 10
 
 
-@pytest.mark.parametrize("options", [{"train_views": 0}, {"train_depression": ()}, {"train_depression": (17, 17)}])
-def test_what_no_chips_can_satisfy_is_refused_before_they_are_read(chips, options, monkeypatch):
-    monkeypatch.setattr("sarsplat.importers.mstar.read_chips", None)
-    with pytest.raises(SarsplatError, match="give a number from 1 or 'all', and at least one angle, each once"):
-        import_chips(chips, **options)
-
-
 def test_several_classes_or_all_of_them_are_a_dataset_each(chips, tmp_path, capsys):
     words = f"import mstar {chips} --labels {chips}/labels.csv --train-views all --out {tmp_path}/sets"
     assert main([*words.split(), "--class", "all"]) == 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import struct
 import zlib
@@ -15,6 +14,7 @@ import tifffile
 from PIL import Image
 
 from fuzz import watched
+from made import in_memory
 from sarsplat.errors import SarsplatError
 from sarsplat.importers.pictures import (
     likely_quantity,
@@ -320,10 +320,8 @@ def npy(header: str) -> bytes:
     return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text
 
 
-def tiff_of(pixels: np.ndarray, **options) -> bytes:
-    buffer = io.BytesIO()
-    tifffile.imwrite(buffer, pixels, **options)
-    return buffer.getvalue()
+PAGES = in_memory(tifffile.imwrite, np.zeros((2, 3, 4), np.uint8), photometric="minisblack", planarconfig=None)
+COLOURS = in_memory(tifffile.imwrite, np.zeros((3, 4, 3), np.uint8), photometric="rgb")
 
 
 @pytest.mark.parametrize(
@@ -331,8 +329,8 @@ def tiff_of(pixels: np.ndarray, **options) -> bytes:
     [
         ("a.png", png_that_claims(9000), "claims to hold"),
         ("a.gif", b"GIF89a", "not a readable raster"),
-        ("a.tif", tiff_of(np.zeros((2, 3, 4), np.uint8), photometric="minisblack", planarconfig=None), "several pages"),
-        ("a.tif", tiff_of(np.zeros((3, 4, 3), np.uint8), photometric="rgb"), "holds uint8 of shape"),
+        ("a.tif", PAGES, "several pages"),
+        ("a.tif", COLOURS, "holds uint8 of shape"),
         ("a.npy", npy("'descr': '<f4', 'fortran_order': False, 'shape': (90000, 90000)"), "not a readable array"),
         ("a.npy", npy("'descr': '|O', 'fortran_order': False, 'shape': (2, 2)"), "not a readable array"),
     ],

@@ -143,6 +143,7 @@ def sixteen_bits(folder: Path) -> None:
 
 
 MSTAR: Refusals = [
+    *((chips(train_depression=angles), "at least one angle, each once") for angles in ((), (17, 17))),
     (chips(train_views=9), "but there are 8 chips at 17°; ask for 1 to 8$"),
     (chips(train_views=6, train_depression=(17, 15)), "3 of 6 training views asked for, but there are 2 chips at 15°"),
     *((row(f"17.1,3,{cell}", name), f"{name} is '{cell}', but MSTAR's radar is one, flies level")

@@ -117,6 +117,10 @@ SICD: list[tuple[Spoil | dict, str]] = [
     (changed("<ImpRespWid>[^<]*</ImpRespWid>", "<ImpRespWid>-1</ImpRespWid>"), "ImpRespWid"),
     (changed("<ARPPoly>.*</ARPPoly>", ""), "ARP_Poly"),
     (changed("<UVectECF>.*?</UVectECF>", "<UVectECF><X>1</X><Y>0</Y><Z>0</Z></UVectECF>"), "span no plane"),
+    *(
+        (changed("SICD:1.4.0", f"SICD:{version}"), rf"is SICD of version {version}, and 0\.4\.0, .*, 1\.5 are read")
+        for version in ("0.3.1", "1.9.0", "x")
+    ),
     (with_pixel(math.nan), "holds nan"),
     (with_pixel(1e30), "holds 1e"),
 ]  # fmt: skip
