@@ -308,35 +308,33 @@ def _mesh(kind: str) -> list[bytes]:
             dented = [square.replace(b"1 1 0\n", corner + b" .2 0\n") for corner in (b".2", b"1e300")]
             return [box.export(file_type="off").encode(), square, *dented]
     glb = scene.export(file_type="glb")
-    return [glb, _instances(glb), _with_fan(glb)]
+    return [glb, _with_header(glb, _instances), _with_header(glb, _with_fan)]
 
 
-def _with_fan(data: bytes) -> bytes:
+def _with_fan(text: bytes) -> bytes:
     """The first mesh as a fan, and a hidden node."""
-    length = int.from_bytes(data[12:16], "little")
-    header = json.loads(data[20 : 20 + length])
+    header = json.loads(text)
     header["meshes"][0]["primitives"][0]["mode"] = 6
     header["nodes"][-1]["extensions"] = {"KHR_node_visibility": {"visible": False}}
-    return _pack_glb(json.dumps(header).encode(), data[20 + length :])
+    return json.dumps(header).encode()
 
 
-def _instances(data: bytes) -> bytes:
+def _instances(text: bytes) -> bytes:
     """A thousand copies of the first mesh."""
+    copies = {"nodes": [{"mesh": 0}] * 1000, "scenes": [{"nodes": list(range(1000))}]}
+    return json.dumps({**json.loads(text), **copies}).encode()
+
+
+def _with_header(data: bytes, change: Callable[[bytes], bytes]) -> bytes:
+    """A GLB whose JSON is changed, with the lengths put right."""
     length = int.from_bytes(data[12:16], "little")
-    header = json.loads(data[20 : 20 + length])
-    header["nodes"] = [{"mesh": 0} for _ in range(1000)]
-    header["scenes"] = [{"nodes": list(range(1000))}]
-    return _pack_glb(json.dumps(header).encode(), data[20 + length :])
-
-
-def _pack_glb(text: bytes, rest: bytes) -> bytes:
+    text, rest = change(data[20 : 20 + length]), data[20 + length :]
     text += b" " * (-len(text) % 4)
     return b"glTF" + struct.pack("<III", 2, 20 + len(text) + len(rest), len(text)) + b"JSON" + text + rest
 
 
 def _spoil_glb(data: bytes, rng: random.Random) -> bytes:
-    length = int.from_bytes(data[12:16], "little")
-    return _pack_glb(spoil_json(data[20 : 20 + length], rng), data[20 + length :])
+    return _with_header(data, lambda text: spoil_json(text, rng))
 
 
 def _mesh_reader(kind: str, *mutations: Mutation) -> Reader:

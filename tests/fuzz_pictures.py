@@ -3,9 +3,7 @@
 import io
 import random
 import re
-from collections.abc import Callable
 from pathlib import Path
-from unittest.mock import patch
 
 import numpy as np
 import scipy.io
@@ -13,8 +11,8 @@ import tifffile
 from PIL import Image
 
 from fuzz_mutations import FLOATS, NUMBERS
+from fuzz_radar_files import checked
 from made import in_memory, sample_bytes, sample_path
-from sarsplat.data import Dataset
 from sarsplat.importers import import_folder, import_sample
 
 _POWER = np.random.default_rng(3).gamma(1.0, size=(10, 12)).astype(np.float32) + 0.1
@@ -61,7 +59,7 @@ def spoil_cell(data: bytes, rng: random.Random) -> bytes:
 
 
 def read_table(folder: Path) -> object:
-    return _checked(import_folder, folder / "shots", folder / "out", quantity="power", grazing_deg=20)
+    return checked(import_folder, folder / "shots", folder / "out", quantity="power", grazing_deg=20)
 
 
 # ---- pictures ----
@@ -124,7 +122,7 @@ def read_picture(folder: Path) -> object:
     try:
         quantity = None if b"<c" in data[:128] or name[2] in "pjm" else "power"
         options = {"spacing_m": (0.1, 0.3), "grazing_deg": 20, "quantity": quantity}
-        return _checked(import_folder, shots, folder / "out", **options)
+        return checked(import_folder, shots, folder / "out", **options)
     finally:
         (shots / name).unlink()
 
@@ -144,12 +142,4 @@ def prepare_sample(folder: Path) -> None:
 
 
 def read_sample(folder: Path) -> object:
-    return _checked(import_sample, folder / "set", folder / "out", target="t72")
-
-
-def _checked(importer: Callable[..., Dataset], *places: Path, **options: object) -> object:
-    with patch("os.fsync"):  # nothing of it is to be kept
-        dataset = importer(*places, overwrite=True, **options)
-    assert np.isfinite(dataset.power).all()
-    assert dataset.signal is None or np.isfinite(dataset.signal).all()
-    return dataset.fingerprint()
+    return checked(import_sample, folder / "set", folder / "out", target="t72")

@@ -1,4 +1,4 @@
-"""CPHD: points and a target of facets are imaged where they are, whatever the domain, the sign, the SRPs, the band."""
+"""CPHD: points are imaged where they are, whatever the domain, the sign, the SRPs, the band."""
 
 import math
 import re
@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
 
 pytest.importorskip("sarkit")
 
@@ -150,40 +149,6 @@ def test_several_files_are_of_one_world(tmp_path):
     assert [round(view.azimuth_deg) for view in dataset.views] == [290, 50, 170]
     for index in range(3):
         check_points(dataset.take([index]), origin=(1.0, 1.0, 1.0))
-
-
-def test_a_house_lies_over_towards_the_radar(tmp_path):
-    """Pulse by pulse, each facet that faces the antenna scatters by the cosine of the angle at which it does."""
-    house = trimesh.creation.box((5.0, 4.0, 6.0)).subdivide_to_size(0.35)
-    towards = ARC.mean(axis=0) / np.linalg.norm(ARC.mean(axis=0))
-    cosine = house.face_normals @ towards
-    middles = house.triangles_center + np.array([0, 0, 3.0])
-    phases = np.exp(2j * np.pi * np.random.default_rng(3).random(len(middles)))
-    facing = np.flatnonzero(cosine > 0)
-    points = [(tuple(middles[k]), math.sqrt(cosine[k] * house.area_faces[k]) * phases[k]) for k in facing]
-    dataset = imported(tmp_path, Collection(ARC), points, size_m=18.0)
-    image, places = dataset[0], np.array([place for place, _ in points])
-    azimuth, _, away = radar_frame(image.view) @ places.T
-    grid, power = image.grid, np.abs(image.signal) ** 2
-    reach = np.zeros(power.shape, bool)
-    for across, down in zip(azimuth, away, strict=True):  # within a cell of a facet
-        near = (np.abs(grid.azimuth_m - across) < grid.resolution_m[0])[None, :]
-        reach |= near & (np.abs(grid.range_m - down) < grid.resolution_m[1])[:, None]
-    assert power[reach].sum() > 0.97 * power.sum()
-    roof = places[:, 2] > 5.99
-    nearest = away[roof].min()
-    assert nearest < -4.5 < -0.5 < away[~roof].max()  # the roof is nearer than the foot of the wall below it
-    shares = TAYLOR.density((grid.range_m[:, None] - away) / grid.resolution_m[1])
-    expected_rows = shares @ [abs(amplitude) ** 2 for _, amplitude in points]
-    profiles = [np.cumsum(rows) / rows.sum() for rows in (power.sum(axis=1), expected_rows)]
-    ranges = [np.interp((0.05, 0.5, 0.95), profile, grid.range_m) for profile in profiles]  # so much is nearer
-    assert ranges[0] == pytest.approx(ranges[1], abs=grid.resolution_m[1])
-    aperture = whole_flight(read_cphd(tmp_path / "a.cphd"), np.zeros(3))
-    absolute = np.abs(focus(aperture, grid, TAYLOR)) ** 2
-    cell = np.prod([TAYLOR.density(np.arange(-40, 40) / 8).sum() / 8 / TAYLOR.density(np.zeros(1))[0]] * 2)
-    cell *= np.prod(grid.resolution_m)
-    expected = sum(abs(amplitude) ** 2 for _, amplitude in points) * cell
-    assert 10 * math.log10(absolute.sum() * np.prod(grid.spacing_m) / expected) == pytest.approx(0, abs=0.3)
 
 
 def test_channels_are_chosen_by_name(tmp_path, capsys):

@@ -275,11 +275,3 @@ def test_measured_t72(tmp_path):
     mean = images.mean(0)
     assert mean[50:66, 54:74].mean() > 5
     assert mean[76:90, 56:72].mean() < 0.6 * mean[20:40, 56:72].mean()
-
-
-@needs_measured
-def test_measured_originals(tmp_path):
-    with pytest.warns(SarsplatWarning, match="3 vehicles|in azimuth"):
-        dataset = import_mstar(MEASURED / "phoenix", tmp_path / "a", labels=None, target_class="BMP2", train_views=2)
-    assert len(dataset) == 3
-    assert dataset.grid.resolution_m == (0.3229, 0.3013)
