@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,31 +38,71 @@ _READ_AS = dict.fromkeys(("0.4.0", "0.4.1", "0.5.0", "1.0.0", "1.0.1"), "1.1.0")
 
 
 @dataclass(frozen=True)
-class Sicd:
-    """Metadata of a SICD file; places (xrow, ycol) are m from the scene centre point."""
+class Sicd(Metadata):
+    """Metadata of a SICD file, checked where they are used; places (xrow, ycol) are m from the scene centre point."""
 
-    path: Path
     version: str
     """Version of the format, as the file states it."""
     projection: MetadataParams
     """Relation of pixels to places, all finite."""
     offsets: AdjustableParameterOffsets | None
     """Corrections of that relation."""
-    row: Axis
-    column: Axis
-    pixel_type: str
-    """"RE32F_IM32F", "RE16I_IM16I" or "AMP8I_PHS8I"."""
     segments: list[Segment]
     """Segments of the file with all rows of the image."""
-    amplitudes: Float64[np.ndarray, " 256"] | None
-    """Amplitudes by index of "AMP8I_PHS8I"; None for the index itself."""
-    calibration: dict[str, Float64[np.ndarray, "m n"]]
-    """Quantity ("BetaZero", "SigmaZero", "GammaZero" or "RCS") → factor to it from power, a polynomial in (xrow, ycol),
-    m."""
-    frequency_hz: float | None
-    """Centre of the processed band; None if not stated."""
-    collection: dict[str, str]
-    """Sensor, collection, date and polarisation."""
+
+    @cached_property
+    def row(self) -> Axis:
+        """Metadata of the rows."""
+        return self._axis("Row")
+
+    @cached_property
+    def column(self) -> Axis:
+        """Metadata of the columns."""
+        return self._axis("Col")
+
+    @cached_property
+    def calibration(self) -> dict[str, Float64[np.ndarray, "m n"]]:
+        """Quantity of `CALIBRATIONS` → factor to it from power, a polynomial in (xrow, ycol), m."""
+        factors = {name: self._polynomial(f"Radiometric/{name}SFPoly") for name in CALIBRATIONS}
+        return {name: factor for name, factor in factors.items() if factor is not None}
+
+    @cached_property
+    def pixel_type(self) -> str:
+        """Type of pixels, "RE32F_IM32F", "RE16I_IM16I" or "AMP8I_PHS8I"; raises for others."""
+        from sarkit.sicd import PIXEL_TYPES
+
+        name = self.text("ImageData/PixelType")
+        if name not in PIXEL_TYPES:
+            raise SarsplatError(f"{self.path} has pixels of type {shown(name)}; give {', '.join(PIXEL_TYPES)}")
+        return name
+
+    @cached_property
+    def amplitudes(self) -> Float64[np.ndarray, " 256"] | None:
+        """Amplitudes by index of "AMP8I_PHS8I"; None for the index itself."""
+        values = self._load("ImageData/AmpTable")
+        if values is not None and not (np.shape(values) == (256,) and np.all((values >= 0) & (values <= LARGEST))):
+            raise_damaged(self.path, "has a table of amplitudes that is not 256 numbers ≥ 0")
+        return values
+
+    @property
+    def frequency_hz(self) -> float | None:
+        """Centre of the processed band; None if not stated."""
+        ends = [self._load(f"ImageFormation/TxFrequencyProc/{name}") for name in ("MinProc", "MaxProc")]
+        if not all(isinstance(end, int | float) and 1e6 <= end <= FARTHEST for end in ends):  # also catches NaN
+            return None
+        return sum(map(float, ends)) / 2
+
+    @property
+    def collection(self) -> dict[str, str]:
+        """Sensor, collection, mode, start and polarisation, as far as stated."""
+        names = {
+            "sensor": "CollectionInfo/CollectorName",
+            "collection": "CollectionInfo/CoreName",
+            "mode": "CollectionInfo/RadarMode/ModeType",
+            "start": "Timeline/CollectStart",
+            "polarization": "ImageFormation/TxRcvPolarizationProc",
+        }
+        return {key: text for key, name in names.items() if (text := self.text(name))}
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -111,6 +152,57 @@ class Sicd:
                 first += part.rows
             return np.concatenate(parts)
 
+    def _load(self, name: str) -> Any:
+        """Return the value of an element; None if it is missing."""
+        from sarkit.sicd import XmlHelper
+
+        with sarkit_errors(self.path):
+            return XmlHelper(self.tree).load(any_version(name))
+
+    def _number(self, name: str, least: float, most: float) -> float:
+        return number_in(self.path, self._load(name), name, least, most)
+
+    def _polynomial(self, name: str) -> Float64[np.ndarray, "m n"] | None:
+        """Load a polynomial in two variables; None if it is missing."""
+        value = self._load(name)
+        if value is not None and not np.all(np.abs(value) <= FARTHEST):
+            raise_damaged(self.path, f"has a polynomial {name} that is not finite")
+        return value
+
+    def _axis(self, name: str) -> Axis:
+        """Load the metadata of rows (`Row`) or columns (`Col`)."""
+        carrier = self._polynomial(f"Grid/{name}/DeltaKCOAPoly")
+        window = self.text(f"Grid/{name}/WgtType/WindowName")
+        sign = self._load(f"Grid/{name}/Sgn")
+        if sign not in (1, -1):
+            raise_damaged(self.path, f"has {shown(sign)} as Grid/{name}/Sgn, not 1 or -1")
+        return Axis(
+            self._number(f"Grid/{name}/SS", 1e-4, 1e4),
+            self._number(f"Grid/{name}/ImpRespWid", 1e-4, 1e4),
+            self._number(f"Grid/{name}/ImpRespBW", 1e-5, 1e4),
+            sign,
+            np.zeros((1, 1)) if carrier is None else carrier,
+            self._area(f"Grid/{name}/WgtFunct"),
+            "" if window == "UNKNOWN" else window,
+            self._response(f"Grid/{name}/WgtType", window),
+        )
+
+    def _area(self, name: str) -> float:
+        """Return the area of the power response for a peak and a bandwidth of 1, by the weights of the band."""
+        weights = self._load(name)
+        if weights is None:
+            return 1.0
+        with sarkit_errors(self.path):
+            area = np.mean(np.square(weights)) / np.square(np.mean(weights))
+        return number_in(self.path, float(area), name, 1.0, 1e3)
+
+    def _response(self, name: str, window: str) -> Response:
+        """Return the response of a uniform window or of a Taylor window with stated parameters; otherwise Gaussian."""
+        if window == "UNIFORM":
+            return UNIFORM
+        stated = {item.get("name"): item.text for item in self.tree.iterfind(any_version(f"{name}/Parameter"))}
+        return stated_taylor(stated.get("SLL"), stated.get("NBAR")) if window == "TAYLOR" else GAUSSIAN
+
 
 def read_sicd(path: Path) -> Sicd:
     """Read the metadata of one SICD.
@@ -126,28 +218,10 @@ def read_sicd(path: Path) -> Sicd:
         metadata = projection.MetadataParams.from_xml(tree)
         offsets = projection.AdjustableParameterOffsets
         moved = offsets.from_xml(tree) if offsets.exists(tree) else None
-        fields_of = SicdFields(path, tree)
         _check(path, metadata)
-        pixel_type = fields_of.pixel_type()
-        _check_segments(path, metadata, pixel_type, segments)
-        return Sicd(
-            path,
-            version,
-            metadata,
-            moved,
-            fields_of.axis("Row"),
-            fields_of.axis("Col"),
-            pixel_type,
-            segments,
-            fields_of.amplitudes(),
-            {
-                name: factor
-                for name in CALIBRATIONS
-                if (factor := fields_of.polynomial(f"Radiometric/{name}SFPoly")) is not None
-            },
-            fields_of.centre_frequency(),
-            fields_of.collection(),
-        )
+        sicd = Sicd(path, tree, version, metadata, moved, segments)
+        _check_segments(sicd)
+        return sicd
 
 
 def _check(path: Path, metadata: MetadataParams) -> None:
@@ -174,17 +248,18 @@ def _check(path: Path, metadata: MetadataParams) -> None:
         raise_damaged(path, f"has SideOfTrack {shown(metadata.SideOfTrack)}, but positions on the other side")
 
 
-def _check_segments(path: Path, metadata: MetadataParams, pixel_type: str, segments: list[Segment]) -> None:
+def _check_segments(sicd: Sicd) -> None:
     """Raise if image segments are compressed, or do not hold exactly the image's rows."""
     from sarkit.sicd import PIXEL_TYPES
 
-    if any(part.compression != "NC" for part in segments):
-        raise SarsplatError(f"{path} has compressed pixels, which no SICD may have; get it uncompressed")
-    width = metadata.NumCols * PIXEL_TYPES[pixel_type]["bytes"]
-    whole = all(part.columns == metadata.NumCols and part.length == part.rows * width for part in segments)
-    if not whole or sum(part.rows for part in segments) != metadata.NumRows:
-        size = f"{metadata.NumRows} × {metadata.NumCols}"
-        raise_damaged(path, f"has {size} pixels of type {pixel_type}, but segments of other sizes")
+    rows, columns = sicd.shape
+    if any(part.compression != "NC" for part in sicd.segments):
+        raise SarsplatError(f"{sicd.path} has compressed pixels, which no SICD may have; get it uncompressed")
+    width = columns * PIXEL_TYPES[sicd.pixel_type]["bytes"]
+    whole = all(part.columns == columns and part.length == part.rows * width for part in sicd.segments)
+    if not whole or sum(part.rows for part in sicd.segments) != rows:
+        size = f"{rows} × {columns}"
+        raise_damaged(sicd.path, f"has {size} pixels of type {sicd.pixel_type}, but segments of other sizes")
 
 
 @dataclass(frozen=True)
@@ -212,92 +287,6 @@ class Axis:
     def occupied(self) -> float:
         """Share of the sampled band that the image fills."""
         return min(self.bandwidth * self.spacing_m, 1.0)
-
-
-class SicdFields(Metadata):
-    """Checked fields of the XML."""
-
-    def _load(self, name: str) -> Any:
-        from sarkit.sicd import XmlHelper
-
-        return XmlHelper(self.tree).load(any_version(name))
-
-    def _number(self, name: str, least: float, most: float) -> float:
-        return number_in(self.path, self._load(name), name, least, most)
-
-    def polynomial(self, name: str) -> Float64[np.ndarray, "m n"] | None:
-        """Load a polynomial in two variables; None if it is missing."""
-        value = self._load(name)
-        if value is not None and not np.all(np.abs(value) <= FARTHEST):
-            raise_damaged(self.path, f"has a polynomial {name} that is not finite")
-        return value
-
-    def axis(self, name: str) -> Axis:
-        """Load the metadata of rows (`Row`) or columns (`Col`)."""
-        carrier = self.polynomial(f"Grid/{name}/DeltaKCOAPoly")
-        window = self.text(f"Grid/{name}/WgtType/WindowName")
-        sign = self._load(f"Grid/{name}/Sgn")
-        if sign not in (1, -1):
-            raise_damaged(self.path, f"has {shown(sign)} as Grid/{name}/Sgn, not 1 or -1")
-        return Axis(
-            self._number(f"Grid/{name}/SS", 1e-4, 1e4),
-            self._number(f"Grid/{name}/ImpRespWid", 1e-4, 1e4),
-            self._number(f"Grid/{name}/ImpRespBW", 1e-5, 1e4),
-            sign,
-            np.zeros((1, 1)) if carrier is None else carrier,
-            self._area(f"Grid/{name}/WgtFunct"),
-            "" if window == "UNKNOWN" else window,
-            self._response(f"Grid/{name}/WgtType", window),
-        )
-
-    def _area(self, name: str) -> float:
-        """Return the area of the power response for a peak and a bandwidth of 1, by the weights of the band."""
-        weights = self._load(name)
-        if weights is None:
-            return 1.0
-        area = np.mean(np.square(weights)) / np.square(np.mean(weights))
-        return number_in(self.path, float(area), name, 1.0, 1e3)
-
-    def _response(self, name: str, window: str) -> Response:
-        """Return the response of a uniform window or of a Taylor window with stated parameters; otherwise Gaussian."""
-        if window == "UNIFORM":
-            return UNIFORM
-        stated = {item.get("name"): item.text for item in self.tree.iterfind(any_version(f"{name}/Parameter"))}
-        return stated_taylor(stated.get("SLL"), stated.get("NBAR")) if window == "TAYLOR" else GAUSSIAN
-
-    def pixel_type(self) -> str:
-        """Return the pixel type; raise if sarkit does not know it."""
-        from sarkit.sicd import PIXEL_TYPES
-
-        name = self.text("ImageData/PixelType")
-        if name not in PIXEL_TYPES:
-            raise SarsplatError(f"{self.path} has pixels of type {shown(name)}; give {', '.join(PIXEL_TYPES)}")
-        return name
-
-    def amplitudes(self) -> Float64[np.ndarray, " 256"] | None:
-        """Load the table of amplitudes, if there is one."""
-        values = self._load("ImageData/AmpTable")
-        if values is not None and not (np.shape(values) == (256,) and np.all((values >= 0) & (values <= LARGEST))):
-            raise_damaged(self.path, "has a table of amplitudes that is not 256 numbers ≥ 0")
-        return values
-
-    def centre_frequency(self) -> float | None:
-        """Return the centre of the processed band, Hz; None if not stated."""
-        ends = [self._load(f"ImageFormation/TxFrequencyProc/{name}") for name in ("MinProc", "MaxProc")]
-        if not all(isinstance(end, int | float) and 1e6 <= end <= FARTHEST for end in ends):  # also catches NaN
-            return None
-        return sum(map(float, ends)) / 2
-
-    def collection(self) -> dict[str, str]:
-        """Return sensor, collection, mode, start and polarisation, as far as stated."""
-        names = {
-            "sensor": "CollectionInfo/CollectorName",
-            "collection": "CollectionInfo/CoreName",
-            "mode": "CollectionInfo/RadarMode/ModeType",
-            "start": "Timeline/CollectStart",
-            "polarization": "ImageFormation/TxRcvPolarizationProc",
-        }
-        return {key: text for key, name in names.items() if (text := self.text(name))}
 
 
 def modernise(path: Path, tree: lxml.etree._ElementTree) -> str:
