@@ -15,7 +15,7 @@ from sarsplat.data.geotiff import Georeference
 from sarsplat.data.image import power_of
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import Place, Terrain
-from sarsplat.importers.about import AboutPictures
+from sarsplat.importers.about import AboutPictures, Pair
 from sarsplat.importers.geocoded import MapPicture, on_ground, resampled
 from sarsplat.importers.listed_images import (
     Picture,
@@ -156,8 +156,7 @@ def _from_map(
         affines, place = on_ground(shapes, placed, -azimuth_offset_deg, names)
         told.append(_told_of_map(placed[0]))
         for picture, affine in zip(pictures, affines, strict=True):
-            pitch = np.hypot(*affine[:, :2])
-            check_spacing(picture.row.name, (float(pitch[0]), float(pitch[1])), picture.row.spacing_m, "east × north")
+            check_spacing(picture.row.name, _pitch(affine), picture.row.spacing_m, "east × north")
     else:
         place = None
         affines = [
@@ -169,14 +168,17 @@ def _from_map(
         told.append("of complex pictures the power is taken, for geocoding leaves no phase that is of use")
     on_map = [
         MapPicture(
-            picture.row.name,
-            power_of(picture.values.image),
+            MeasuredImage(
+                picture.row.name,
+                power_of(picture.values.image),
+                picture.view,
+                _pitch(affine),
+                picture.lengths(listed, "resolution", picture.row.resolution_m, picture.slant),
+                azimuth_std_deg=picture.row.azimuth_std_deg or 0.0,
+                split=picture.row.split,
+            ),
             picture.values.unknown,
-            picture.view,
             affine,
-            picture.lengths(listed, "resolution", picture.row.resolution_m, picture.slant),
-            picture.row.azimuth_std_deg or 0.0,
-            picture.row.split,
         )
         for picture, affine in zip(pictures, affines, strict=True)
     ]
@@ -185,6 +187,12 @@ def _from_map(
         ground, around = ground.around(place, 2 * max(picture.half_m for picture in on_map)).centred(), True
     told.append(_told_of_ground(ground, around))
     return resampled(on_map, ground), place
+
+
+def _pitch(to_ground: Float64[np.ndarray, "2 3"]) -> Pair:
+    """Return the spacing of columns and of rows on the map, m."""
+    columns, rows = np.hypot(*to_ground[:, :2])
+    return float(columns), float(rows)
 
 
 def _on_map(picture: Picture) -> Georeference | None:

@@ -12,13 +12,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64
+from jaxtyping import Bool, Float64
 from scipy.ndimage import distance_transform_edt, map_coordinates, minimum_filter, spline_filter
 
 from sarsplat.data.geotiff import INEXACT_M, NOT_RELATED, Georeference, exactness_m, far_outside
 from sarsplat.data.terrain_file import holes_of
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted
-from sarsplat.geometry import ImageGrid, Place, Terrain, View
+from sarsplat.geometry import ImageGrid, Place, Terrain
 from sarsplat.importers.measured_image import MeasuredImage
 
 _FEWEST = 8
@@ -37,24 +37,14 @@ Lattice = Float64[np.ndarray, "rows columns"]
 
 @dataclass(frozen=True)
 class MapPicture:
-    """One geocoded picture, with the fields of a `MeasuredImage`."""
+    """One geocoded picture."""
 
-    name: str
-    power: Float32[np.ndarray, "rows columns"]
+    image: MeasuredImage
+    """Power on the map, with the spacing of columns and rows there, and the resolution of what was geocoded."""
     unknown: Bool[np.ndarray, "rows columns"]
     """Pixels that were not measured."""
-    view: View
     to_ground: Float64[np.ndarray, "2 3"]
     """(x, y) in the scene of the pixel in a column and a row, m: `to_ground @ (column, row, 1)`."""
-    resolution_m: tuple[float, float]
-    """3 dB widths (azimuth, slant range) of the image that was geocoded, m."""
-    azimuth_std_deg: float = 0.0
-    split: str | None = None
-
-    @property
-    def pitch_m(self) -> float:
-        """Smaller of its two pixel spacings, m."""
-        return float(np.hypot(*self.to_ground[:, :2]).min())
 
     @property
     def half_m(self) -> float:
@@ -62,7 +52,7 @@ class MapPicture:
         inverse = np.linalg.inv(self.to_ground[:, :2])
         column, row = -inverse @ self.to_ground[:, 2]  # of the origin
         wide, high = np.hypot(*self.to_ground[:, :2])
-        rows, columns = self.power.shape
+        rows, columns = self.image.pixels.shape
         return float(min(column * wide, (columns - 1 - column) * wide, row * high, (rows - 1 - row) * high))
 
     def measured_m(self, directions: Float64[np.ndarray, "2 2"]) -> float:
@@ -192,10 +182,10 @@ def _grid(pictures: Sequence[MapPicture], ground: float | Terrain) -> ImageGrid:
     """Return the grid that all pictures cover, with the finest spacing of their maps."""
     half_azimuth, half_range, slants = [], [], []
     for picture in pictures:
-        frame = picture.view.look.gradients
-        if isinstance(ground, Terrain) and not picture.view.look.level:
+        frame = picture.image.view.look.gradients
+        if isinstance(ground, Terrain) and not picture.image.view.look.level:
             raise SarsplatError(
-                f"{picture.name} is tilted and geocoded on terrain, which is not supported; give the original image"
+                f"{picture.image.name} is tilted and geocoded on terrain, which is not supported; give the original"
             )
         x_axis = picture.to_ground[:, 0] / np.hypot(*picture.to_ground[:, 0])
         turned = abs(float(x_axis @ frame[0, :2])) / float(np.hypot(*frame[0, :2]))
@@ -206,7 +196,7 @@ def _grid(pictures: Sequence[MapPicture], ground: float | Terrain) -> ImageGrid:
         half_azimuth.append(reach)
         half_range.append(reach * slant - _highest(ground, picture.half_m) * abs(float(frame[1, 2])))
         slants.append(slant)
-    pitch = min(picture.pitch_m for picture in pictures)
+    pitch = min(min(picture.image.spacing_m) for picture in pictures)
     spacing = (pitch, pitch * min(slants))
     columns, rows = (
         2 * math.floor(min(half) / step) + 1 for half, step in zip((half_azimuth, half_range), spacing, strict=True)
@@ -216,7 +206,7 @@ def _grid(pictures: Sequence[MapPicture], ground: float | Terrain) -> ImageGrid:
             f"{max(columns, 0)} × {max(rows, 0)} pixels (azimuth × range) remain that all geocoded pictures show "
             "around their common middle, turned as the radar looks; give larger ones"
         )
-    return ImageGrid(rows, columns, spacing, pictures[0].resolution_m)
+    return ImageGrid(rows, columns, spacing, pictures[0].image.resolution_m)
 
 
 def _highest(ground: float | Terrain, half_m: float) -> float:
@@ -237,11 +227,11 @@ def _image(picture: MapPicture, grid: ImageGrid, ground: float | Terrain) -> Mea
             (int(at.min()) + 1, int(at.max()) + 1) for at in (row[missing], column[missing])
         )
         raise SarsplatError(
-            f"{picture.name} has {counted(int(missing.sum()), 'pixel')} of {missing.size} in azimuth and range that "
-            f"were not measured, near rows {first} to {last} and columns {left} to {right}; cut the pictures to their "
-            "common part, or fill them in, as by gdal_fillnodata"
+            f"{picture.image.name} has {counted(int(missing.sum()), 'pixel')} of {missing.size} in azimuth and range "
+            f"that were not measured, near rows {first} to {last} and columns {left} to {right}; cut the pictures to "
+            "their common part, or fill them in, as by gdal_fillnodata"
         )
-    known = picture.power.astype(np.float64)
+    known = picture.image.pixels.astype(np.float64)
     if picture.unknown.any():  # a spline rings beside a sudden end
         known = known[tuple(distance_transform_edt(picture.unknown, return_distances=False, return_indices=True))]
     smooth = map_coordinates(
@@ -250,20 +240,12 @@ def _image(picture: MapPicture, grid: ImageGrid, ground: float | Terrain) -> Mea
     least = map_coordinates(minimum_filter(known, 3), [row, column], order=0, mode="nearest")
     # a spline undershoots beside what is bright
     power = np.maximum(smooth, least).astype(np.float32)
-    return MeasuredImage(
-        picture.name,
-        power,
-        picture.view,
-        grid.spacing_m,
-        picture.resolution_m,
-        azimuth_std_deg=picture.azimuth_std_deg,
-        split=picture.split,
-    )
+    return replace(picture.image, pixels=power, spacing_m=grid.spacing_m)
 
 
 def _places(picture: MapPicture, grid: ImageGrid, ground: float | Terrain) -> Float64[np.ndarray, "2 m n"]:
     """Return (x, y) of the ground in each pixel; where it lays over, of the nearest point."""
-    frame = picture.view.look.gradients
+    frame = picture.image.view.look.gradients
     azimuth, slant = np.meshgrid(grid.azimuth_m, grid.range_m)
     if not isinstance(ground, Terrain):
         shown = np.stack([azimuth, slant]) - frame[:, 2][:, None, None] * ground
