@@ -118,30 +118,28 @@ def import_mstar(
     """
     depressions = [train_depression] if isinstance(train_depression, int) else list(train_depression)
     _check(train_views, depressions)  # before thousands of chips are read
-    table, several = None if labels is None else Path(labels), False
-    unplaced: list[tuple[str, Chip]] = []  # with their sets
-    counts: Counts = []
+    table = None if labels is None else Path(labels)
+    testing, counts = list[Chip](), Counts()
     if split is None:
-        every = _one_vehicle(read_chips(Path(chips), table, target_class), target_class, serial)
-        train = _training_chips(every, train_views, depressions)
+        training = _one_vehicle(read_chips(Path(chips), table, target_class), target_class, serial)
     else:
         names = SPLITS[split].names_of(target_class)
         training, testing, counts = divide(read_chips(Path(chips), table, names, unplaced=True), split, target_class)
         depressions = sorted({chip.depression for chip in training})
-        placed = [chip for chip in training if chip.placed]
-        if not placed:
-            raise SarsplatError(f"no training chip of {target_class} has a target_az_deg in {labels}; fill some in")
-        train = _training_chips(placed, train_views, depressions)
-        every = [*placed, *(chip for chip in testing if chip.placed)]
-        several = len({plain_name(chip.serial) for chip in (*training, *testing)}) > 1
-        left_out = len(train) < len(placed)  # then no chip without azimuth is trained on, either
-        unplaced += [(_test_set(chip, several) if left_out else "train", chip) for chip in training if not chip.placed]
-        unplaced += [(_test_set(chip, several), chip) for chip in testing if not chip.placed]
+    placed = [chip for chip in training if chip.placed]
+    if not placed:
+        raise SarsplatError(f"no training chip of {target_class} has a target_az_deg in {labels}; fill some in")
+    train = _training_chips(placed, train_views, depressions)
+    every = [*training, *testing]
+    several = split is not None and len({plain_name(chip.serial) for chip in every}) > 1
+    trained = training if len(train) == len(placed) else []  # else no chip without azimuth is trained on, either
+    unplaced = [("train", chip) for chip in trained if not chip.placed]
+    unplaced += [(_test_set(chip, several), chip) for chip in every[len(trained) :] if not chip.placed]
     if not any(chip.magnitude.any() for chip in train):
         black = "the training chip is" if len(train) == 1 else f"all {len(train)} training chips are"
         raise SarsplatError(f"{black} black; choose others, or remove black ones from {chips}")
     chosen = {id(chip) for chip in train}
-    others = [chip for chip in every if test and id(chip) not in chosen]
+    others = [chip for chip in every if test and chip.placed and id(chip) not in chosen]
     others.sort(key=lambda chip: (-chip.depression, chip.target_az_deg, chip.name))
     ordered = [*train, *others]
     sets = [*["train"] * len(train), *(_test_set(chip, several) for chip in others), *(name for name, _ in unplaced)]
