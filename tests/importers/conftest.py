@@ -30,12 +30,14 @@ def schemas_are_read_once() -> Iterator[None]:
         yield
 
 
-@pytest.fixture
-def unexamined(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(scope="module")
+def unexamined() -> Iterator[None]:
     """For tests of imports alone: no examination of their images."""
     from sarsplat.examination.outcome import Examination
 
-    monkeypatch.setattr("sarsplat.examination.contradictions.examine", lambda dataset: Examination())
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sarsplat.examination.contradictions.examine", lambda dataset: Examination())
+        yield
 
 
 @pytest.fixture

@@ -27,6 +27,7 @@ SIDE, PITCH = 100, 0.2
 POINTS = np.array([[0.0, 0.0, 0.0], [3.0, 1.0, 0.0], [-2.0, 2.5, 1.5], [1.0, -3.0, 2.0], [-3.5, -2.0, 0.8]])
 DEGREES = (1, 1, 0, 2, 1024, 0, 1, 2, 2048, 0, 1, 4326)
 LOCAL = (1, 1, 0, 1, 1024, 0, 1, 1)
+NO_DATA = [(42113, "s", 0, "-9999", True)]
 
 
 def seen(points: np.ndarray, view: View, grid: ImageGrid) -> np.ndarray:
@@ -82,6 +83,11 @@ def write(folder: Path, images=IMAGES, **options) -> Path:
     return write_maps(folder, images, VIEWS, GRID, SIDE, PITCH, **options)
 
 
+@pytest.fixture(scope="module")
+def straight(unexamined: None, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return imported(write(tmp_path_factory.mktemp("straight") / "in"))
+
+
 @pytest.mark.parametrize(
     ("system", "unit_m"),
     [(UTM_33N, 1 / 0.9996), (LOCAL, 1.0), (None, 1.0)],  # the last has only a scale of its pixels
@@ -99,21 +105,20 @@ def test_level_ground(tmp_path: Path, system, unit_m: float) -> None:
     assert read_dataset(tmp_path / "out").source["geocoded"] == "level"
 
 
-def test_what_was_not_measured_along_edges_is_left_out(tmp_path: Path) -> None:
+def test_what_was_not_measured_along_edges_is_left_out(tmp_path: Path, straight: Dataset) -> None:
     """As after gdalwarp; where it is, is said only of what is needed."""
     folder = write(tmp_path / "in")
-    whole, no_data = imported(folder), [(42113, "s", 0, "-9999", True)]
     path = folder / "000.tif"
     pixels = tifffile.imread(path)
     for rows, needed in ((3, False), (20, True)):  # other views are turned, so that edges are not
         pixels[:rows] = -9999
-        write_map(path, pixels, PITCH, extra=no_data)
+        write_map(path, pixels, PITCH, extra=NO_DATA)
         with pytest.warns(match=f"{100 * rows:,} pixels hold what their files call no data"):
             made = imported(folder)
-        cut = [(a - b) // 2 for a, b in zip(whole.power.shape[1:], made.power.shape[1:], strict=True)]
+        cut = [(a - b) // 2 for a, b in zip(straight.power.shape[1:], made.power.shape[1:], strict=True)]
         assert (max(cut) > 0) == needed
-        inner = tuple(slice(k, size - k) for k, size in zip(cut, whole.power.shape[1:], strict=True))
-        np.testing.assert_allclose(made.power[0], whole.power[0][inner], rtol=1e-3)
+        inner = tuple(slice(k, size - k) for k, size in zip(cut, straight.power.shape[1:], strict=True))
+        np.testing.assert_allclose(made.power[0], straight.power[0][inner], rtol=1e-3)
 
 
 def test_a_plane_above_the_ground(tmp_path: Path) -> None:
@@ -159,10 +164,9 @@ def test_terrain_that_lies_elsewhere_on_the_same_map(tmp_path: Path) -> None:
     check_places(made, POINTS, 20)
 
 
-def test_degrees_turned_maps_and_points(tmp_path: Path) -> None:
+def test_degrees_turned_maps_and_points(tmp_path: Path, straight: Dataset) -> None:
     """A map in longitude and latitude at 60° north, one that is turned, and pixels that are points, are the same."""
     folder = write(tmp_path / "in")
-    straight = imported(folder)
     radii = np.array([0.5 * 6378137 / np.sqrt(1 - 0.00669438 * 0.75), 6335439 / (1 - 0.00669438 * 0.75) ** 1.5])
     dx, dy = PITCH / (np.pi / 180 * radii)
     for number, view in enumerate(VIEWS):
@@ -221,7 +225,7 @@ def test_maps_that_do_not_fit(tmp_path: Path) -> None:
             imported(folder)
     write(folder)
     pixels[40, 40] = -9999
-    write_map(path, pixels, PITCH, extra=[(42113, "s", 0, "-9999", True)])
+    write_map(path, pixels, PITCH, extra=NO_DATA)
     with (
         pytest.raises(SarsplatError, match=r"that were not measured, near rows .*; cut the pictures"),
         pytest.warns(match="call no data"),
@@ -233,23 +237,21 @@ def test_maps_that_do_not_fit(tmp_path: Path) -> None:
         imported(folder)
 
 
-def test_power_of_ground_by_its_own_unit(tmp_path: Path) -> None:
+def test_power_of_ground_by_its_own_unit(tmp_path: Path, straight: Dataset) -> None:
     """σ⁰ and γ⁰ become β⁰ by the grazing angle of each view."""
     folder = write(tmp_path / "in")
-    plain = imported(folder)
     for backscatter, factor in (
         ("sigma0", [1 / np.cos(np.radians(view.grazing_deg)) for view in VIEWS]),
         ("gamma0", [np.tan(np.radians(view.grazing_deg)) for view in VIEWS]),
     ):
         made = imported(folder, backscatter=backscatter)
-        np.testing.assert_allclose(made.power, plain.power * np.array(factor)[:, None, None], rtol=1e-5)
+        np.testing.assert_allclose(made.power, straight.power * np.array(factor)[:, None, None], rtol=1e-5)
         assert any(f"the power is {backscatter}" in text for text in made.source["assumptions"])
 
 
-def test_headings_tell_where_the_radar_is(tmp_path: Path) -> None:
+def test_headings_tell_where_the_radar_is(tmp_path: Path, straight: Dataset) -> None:
     """A radar is 90° to the left of its flight if it looks to the right, and to the right if it looks left."""
     folder = write(tmp_path / "in")
-    straight = imported(folder)
     rows = ["file,Platform Heading (deg),look,incidence"]
     for number, view in enumerate(VIEWS):
         left = number % 2 == 1
@@ -266,9 +268,8 @@ def test_headings_tell_where_the_radar_is(tmp_path: Path) -> None:
     assert imported(folder, look="right").views[0].azimuth_deg == pytest.approx(straight.views[0].azimuth_deg)
 
 
-def test_headings_that_contradict_azimuths_are_refused(tmp_path: Path) -> None:
+def test_headings_that_contradict_azimuths_are_refused(tmp_path: Path, straight: Dataset) -> None:
     folder = write(tmp_path / "in")
-    straight = imported(folder)
 
     def told(turned: float, columns: str = "file,azimuth,heading,look,incidence") -> None:
         rows = [columns]
@@ -293,14 +294,13 @@ def test_headings_that_contradict_azimuths_are_refused(tmp_path: Path) -> None:
         imported(folder, look="right")
 
 
-def test_complex_pictures_keep_their_power(tmp_path: Path) -> None:
+def test_complex_pictures_keep_their_power(tmp_path: Path, straight: Dataset) -> None:
     folder = write(tmp_path / "in")
-    plain = imported(folder)
     for path in folder.glob("*.tif"):
         write_map(path, (np.sqrt(tifffile.imread(path)) * np.complex64(1j)).astype(np.complex64), PITCH)
     made = imported(folder, quantity=None)
     assert made.signal is None
-    np.testing.assert_allclose(made.power, plain.power, rtol=1e-5)
+    np.testing.assert_allclose(made.power, straight.power, rtol=1e-5)
 
 
 def lying(longitude: float, latitude: float, epsg: int, step: float = 1e-5) -> Georeference:

@@ -73,7 +73,7 @@ def combined(aperture, grid):
 @pytest.mark.parametrize("name", FLIGHTS)
 def test_makes_the_image_of_all_pulses_from_a_part_of_them(name, monkeypatch):
     aperture = whole_flight(flight(**FLIGHTS[name]), np.zeros(3))
-    grid = ImageGrid(25, 20, (0.5, 0.5), aperture.resolution_m(TAYLOR))
+    grid = ImageGrid(13, 10, (1.0, 1.0), aperture.resolution_m(TAYLOR))
     told = []
     image = focus(aperture, grid, TAYLOR, told.append)
     assert len(combined(aperture, grid).kept) < len(aperture.history) / 2

@@ -59,6 +59,7 @@ FOLDER: Refusals = [
     (table(PLAIN, near="north"), "near is 'north'"),
     (table("file,azimuth,split", grazing_deg=3), "line 2: split is '30'; it must be one of train"),
     (table("file,azimuth,look", grazing_deg=3), "line 2: look is '30'; it must be one of left"),
+    (table("file,azimuth,near_side", grazing_deg=3), "line 2: near_side is '30'; it must be one of top"),
     (table("azimuth,file,grazing"), "has none of 4 pictures"),
     (stranger("../secret.npy"), "points outside"),
     (stranger("link.npy"), "is a link out of the folder"),

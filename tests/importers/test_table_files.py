@@ -113,9 +113,6 @@ def test_sides_that_are_near_are_those_of_the_table(tmp_path):
     np.testing.assert_array_equal(turned.power[:3], np.rot90(straight.power[:3], 2, axes=(1, 2)))
     np.testing.assert_array_equal(turned.power[3], straight.power[3])
     assert any("at the side that the table says" in text for text in turned.source["assumptions"])
-    folder = pictures(tmp_path, ["{index},{azimuth},30,below"] * 4, names)
-    with pytest.raises(SarsplatError, match=r"line 2: near_side is 'below'; it must be one of top, right, bottom"):
-        import_pictures(folder)
 
 
 def test_hidden_files_are_left_out(tmp_path, recwarn):
