@@ -203,9 +203,8 @@ def require_azimuths(table: CsvTable, columns: Columns, compass: bool) -> None:
     words = set(_words(column))
     if words & _FLIGHT:
         raise SarsplatError(
-            f"{table.path} has {shown(column)} for the azimuth, which by its name is a direction of flight; "
-            f"name it with `columns={{'heading': '{column}'}}` and give `look`, or rename it if it holds directions "
-            "from the target to the radar"
+            f"{table.path} has {shown(column)} for the azimuth, by its name a direction of flight; name it with "
+            f"`columns={{'heading': '{column}'}}` and give `look`, or rename it if it holds no flight's"
         )
     if "bearing" in words and not compass:
         raise SarsplatError(

@@ -241,9 +241,8 @@ def _in_range(listed: PictureTable, picture: Picture, near: Side, mirrored: bool
     if georeference is not None:
         if georeference.crs is not None:
             raise SarsplatError(
-                f"{row.path} is geocoded ({georeference.system}): its rows and columns are those of a map, not range "
-                "and azimuth; `import folder` resamples single images, by `geocoded='level'`, or `geocoded='terrain'` "
-                "and `terrain`, as its producer took the ground; or save it without GeoTIFF tags if these are wrong"
+                f"{row.path} is geocoded ({georeference.system}), not in range and azimuth; `import folder` resamples "
+                "single images, by `geocoded='level'` or `geocoded='terrain'`; remove GeoTIFF tags that are wrong"
             )
         stated = spacing_of_tags(str(row.path), georeference, near, stated)
     spacing = picture.lengths(listed, "spacing", stated, picture.slant)
@@ -266,9 +265,8 @@ def _warn_of_world_files(pictures: Sequence[Picture]) -> None:
         for own in (f"{ending[:2]}{ending[-1]}w", f"{ending}w", ".wld"):
             if path.with_suffix(own).is_file():
                 warn_caller(
-                    f"{path.name} has the world file {path.stem}{own} beside it, by which its rows and columns are "
-                    "those of a map, not range and azimuth; if they are, make a GeoTIFF of it, as by gdal_translate "
-                    "-a_srs EPSG:NUMBER, and `import folder` that with `geocoded`"
+                    f"{path.name} has the world file {path.stem}{own} beside it, by which it is a map; if it is, "
+                    "make a GeoTIFF of it, as by gdal_translate -a_srs EPSG:NUMBER, and import that with `geocoded`"
                 )
                 return
 
@@ -317,9 +315,8 @@ def _azimuth(listed: PictureTable, row: ListedPicture, counter_clockwise: bool) 
     column = shown(listed.columns["heading"])
     if across is None:
         raise SarsplatError(
-            f"{listed.path} has no azimuths but headings of the flight ({column}), and does not say to which side "
-            f"{row.name} looks; give it as `look` or a column look (right or left), or name a column of azimuths "
-            "with `columns={'azimuth': 'NAME'}`"
+            f"{listed.path} has headings ({column}) but does not say to which side {row.name} looks; give it as `look` "
+            "or a column look (right or left), or name azimuths with `columns={'azimuth': 'NAME'}`"
         )
     if counter_clockwise:
         raise SarsplatError(

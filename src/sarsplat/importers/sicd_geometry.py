@@ -112,8 +112,7 @@ def said_of_place(sicd: Sicd) -> str | None:
         return None
     return (
         f"{sicd.path.name} contradicts itself: its scene centre point is {astray:.4g} m from where its own projection "
-        "has that pixel, so places on earth are wrong by as much; get it from who made the image, or by another "
-        "converter"
+        "has that pixel, so places on earth are wrong by as much; get it again, by another converter"
     )
 
 

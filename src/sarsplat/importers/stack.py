@@ -118,9 +118,8 @@ def _channels(listed: PictureTable, images: Sequence[MeasuredImage]) -> dict[str
     """Group the images of the table's rows by view."""
     if "view" not in listed.columns or not listed.columns.keys() & {"baseline", "polarisation"}:
         raise SarsplatError(
-            f"{listed.path} lacks a column of views, whose rows are channels, or one of baselines (b/R, rad) or "
-            "polarisations; name them with `columns={'view': 'NAME', 'baseline': 'NAME'}` (or polarisation), or import "
-            "single images with `sarsplat import folder`"
+            f"{listed.path} lacks a column of views, or one of baselines (b/R, rad) or polarisations; name them, as by "
+            "`columns={'view': 'NAME', 'baseline': 'NAME'}`, or import single images with `sarsplat import folder`"
         )
     channels: dict[str, list[Channel]] = {}
     for row, image in zip(listed.pictures, images, strict=True):
