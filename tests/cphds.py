@@ -1,5 +1,6 @@
 """CPHD files made up for tests: points that scatter, seen from a flight around them, written with sarkit."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -138,13 +139,11 @@ def write_cphd(path: Path, made: Collection, points: Points) -> Path:
         pvps[name] = value
     with path.open("wb") as file, sarkit.cphd.Writer(file, sarkit.cphd.Metadata(xmltree=tree)) as writer:
         for number, channel in enumerate(made.channels):
-            stored = data.astype(np.complex64)
             if made.form == "CF8":
-                stored = stored * 2**number
+                stored = data.astype(np.complex64) * 2**number
             else:
-                whole = np.empty(data.shape, dtype)
-                whole["real"], whole["imag"] = np.round(data.real), np.round(data.imag)
-                stored = whole
+                stored = np.empty(data.shape, dtype)
+                stored["real"], stored["imag"] = np.round(data.real), np.round(data.imag)
             writer.write_signal(channel, stored)
             writer.write_pvp(channel, pvps)
     return path
@@ -237,21 +236,8 @@ def xml_of(data: bytes) -> bytes:
 
 
 def with_xml(data: bytes, xml: bytes) -> bytes:
-    """The file with other metadata; where its blocks are follows."""
-    head, _, _ = data.partition(b"\f\n")
-    values = dict(line.split(" := ", 1) for line in head.decode("latin-1").split("\n")[1:] if " := " in line)
-    blocks = {
-        name: data[(at := int(values[f"{name}_BLOCK_BYTE_OFFSET"])) : at + int(values[f"{name}_BLOCK_SIZE"])]
-        for name in ("PVP", "SIGNAL")
-    }
-    made, place = {"XML": xml, **blocks}, 4096
-    parts = []
-    for name, block in made.items():
-        values[f"{name}_BLOCK_BYTE_OFFSET"], values[f"{name}_BLOCK_SIZE"] = str(place), str(len(block))
-        parts.append((place, block))
-        place += len(block) + 64
-    lines = [head.split(b"\n")[0].decode("latin-1"), *(f"{name} := {value}" for name, value in values.items())]
-    out = bytearray(("\n".join(lines) + "\n").encode("latin-1") + b"\f\n")
-    for at, block in parts:
-        out += bytes(at - len(out)) + block
-    return bytes(out)
+    """The file with other metadata, which follow all else, where the header says."""
+    head, end, _ = data.partition(b"\f\n")
+    for field, value in ((b"BYTE_OFFSET", len(data)), (b"SIZE", len(xml))):
+        head = re.sub(rb"(XML_BLOCK_%s := )\d+" % field, rb"\g<1>%d" % value, head)
+    return head + end + data[len(head + end) :] + xml
