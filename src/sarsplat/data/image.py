@@ -164,10 +164,8 @@ def as_signal(signal: Complex[np.ndarray, "*shape"], name: str) -> Complex64[np.
 
 def power_of(signal: Shaped[np.ndarray, "*shape"]) -> Shaped[np.ndarray, "*shape"]:
     """Return |signal|², linear power; real numbers are power and returned unchanged."""
-    if signal.dtype.kind != "c":
-        return signal
     with np.errstate(over="ignore"):
-        return np.square(signal.real) + np.square(signal.imag)
+        return np.square(signal.real) + np.square(signal.imag) if signal.dtype.kind == "c" else signal
 
 
 def in_blocks(images: Shaped[Any, "*v rows columns"], factor: int) -> Shaped[Any, "*v m {factor} n {factor}"]:

@@ -40,7 +40,7 @@ class MapPicture:
     """One geocoded picture."""
 
     image: MeasuredImage
-    """Power on the map, with the spacing of columns and rows there, and the resolution of what was geocoded."""
+    """Power on the map, with the spacing of columns and rows there, and the resolution before geocoding."""
     unknown: Bool[np.ndarray, "rows columns"]
     """Pixels that were not measured."""
     to_ground: Float64[np.ndarray, "2 3"]
