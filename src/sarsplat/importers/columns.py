@@ -204,7 +204,7 @@ def require_azimuths(table: CsvTable, columns: Columns, compass: bool) -> None:
     if words & _FLIGHT:
         raise SarsplatError(
             f"{table.path} has {shown(column)} for the azimuth, by its name a direction of flight; name it with "
-            f"`columns={{'heading': '{column}'}}` and give `look`, or rename it otherwise"
+            f"`columns={{'heading': '{column}'}}` and give `look`, or rename it if it is not"
         )
     if "bearing" in words and not compass:
         raise SarsplatError(
