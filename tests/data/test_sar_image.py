@@ -10,7 +10,6 @@ import torch
 from matplotlib.figure import Figure
 
 from sarsplat.data import SarImage
-from sarsplat.data.image import _draw
 from sarsplat.geometry import ImageGrid, View
 
 GRID = ImageGrid(2, 3, (0.3, 0.3), (0.3, 0.3))
@@ -41,7 +40,7 @@ def test_a_picture_has_metres_and_decibels(tmp_path: Path) -> None:
     assert min(shades.shape) > 150
     assert image._repr_png_() == (tmp_path / "picture.png").read_bytes()
     figure = Figure()
-    _draw(image.power, image.view, image.grid, figure, 40.0)
+    image._draw(figure, 40.0)
     axes, bar = figure.axes
     assert axes.get_images()[0].get_extent() == [-10.0, 10.0, 2.5, -2.5]  # near range on top
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("azimuth, m", "slant range, m")

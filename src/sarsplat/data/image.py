@@ -27,7 +27,6 @@ _LARGEST_POWER = 1e18
 _INCHES = 5.0
 """Longer side of an image in its picture."""
 _DPI = 120
-Power = Real[np.ndarray, "rows columns"]
 
 
 @dataclass(frozen=True)
@@ -74,20 +73,7 @@ class SarImage:
     @classmethod
     @checks_arguments
     def of_complex(cls, signal: Complex[np.ndarray, "rows columns"], view: View, grid: ImageGrid) -> Self:
-        """Make an image that keeps its phase.
-
-        Parameters
-        ----------
-        signal : numpy.ndarray, complex [rows, columns]
-            Complex amplitude √β⁰·e^jψ, row 0 near range.
-        view, grid
-            See `SarImage`.
-
-        Raises
-        ------
-        SarsplatError
-            As for `SarImage`.
-        """
+        """Make an image that keeps its phase, from its complex amplitude √β⁰·e^jψ; errors as for `SarImage`."""
         signal = as_signal(signal, "the image")
         return cls(power_of(signal), view, grid, signal)
 
@@ -104,44 +90,62 @@ class SarImage:
     def save(self, path: str | Path, *, dynamic_range_db: float = DYNAMIC_RANGE_DB) -> None:
         """Write its picture as PNG, whole or not at all: decibels in grey, axes in metres, a colour bar.
 
-        Parameters
-        ----------
-        path : str or Path
-            File to write; it must end in `.png`, and is replaced if it exists. `sarsplat.data.write_tiff` and datasets
-            store numbers.
-        dynamic_range_db : float
-            Distance of black from white (`radiometry.white_level`), dB.
-
-        Raises
-        ------
-        SarsplatError
-            If matplotlib is not installed, the name does not end in `.png`, or the file cannot be written.
+        `dynamic_range_db` is the distance of black from white (`radiometry.white_level`), dB. An existing file is
+        replaced. (`sarsplat.data.write_tiff` and datasets store numbers.) Raise SarsplatError if matplotlib is not
+        installed, the name does not end in `.png`, or the file cannot be written.
         """
         path = Path(path)
         if path.suffix.lower() != ".png":
             raise SarsplatError(f"{path} does not end in .png, the only format of pictures; choose a name that does")
-        write_bytes(path, picture_png(self.power, self.view, self.grid, dynamic_range_db))
+        write_bytes(path, self._png(dynamic_range_db))
 
     @checks_arguments
     def show(self, *, dynamic_range_db: float = DYNAMIC_RANGE_DB) -> None:
-        """Open a window with the picture, or show it in a notebook.
-
-        Raises
-        ------
-        SarsplatError
-            If matplotlib is not installed.
-        """
+        """Open a window with the picture, or show it in a notebook; raise if matplotlib is not installed."""
         with needed("report", "a picture"):
             from matplotlib import pyplot
-        _draw(self.power, self.view, self.grid, pyplot.figure(), dynamic_range_db)
+        self._draw(pyplot.figure(), dynamic_range_db)
         pyplot.show()
 
     def _repr_png_(self) -> bytes | None:
         """Picture for notebooks; None without matplotlib."""
         try:
-            return picture_png(self.power, self.view, self.grid, DYNAMIC_RANGE_DB)
+            return self._png(DYNAMIC_RANGE_DB)
         except SarsplatError:
             return None
+
+    def _png(self, dynamic_range_db: float) -> bytes:
+        """Return the picture as a PNG file."""
+        with needed("report", "a picture"):
+            from matplotlib.figure import Figure
+        figure, buffer = Figure(), io.BytesIO()
+        self._draw(figure, dynamic_range_db)
+        figure.savefig(buffer, format="png", dpi=_DPI)
+        return buffer.getvalue()
+
+    def _draw(self, figure: Figure, dynamic_range_db: float) -> None:
+        """Draw from white, the `white_level`, to black, `dynamic_range_db` below it."""
+        if not 0 < dynamic_range_db < np.inf:
+            raise SarsplatError(f"a dynamic range of {dynamic_range_db} dB is not drawn; give one above 0")
+        extent = self.grid.extent_m
+        width, height = extent[1] - extent[0], extent[2] - extent[3]
+        scale = _INCHES / max(width, height)
+        figure.set_size_inches(max(width * scale, 1.5) + 1.9, max(height * scale, 1.5) + 1.0)
+        figure.set_layout_engine("constrained")
+        axes = figure.add_subplot()
+        top = to_db(white_level(self.power))
+        shades = axes.imshow(
+            np.maximum(self.db(), top - dynamic_range_db),
+            cmap=colormap(POWER),
+            vmin=top - dynamic_range_db,
+            vmax=top,
+            extent=extent,
+            interpolation="nearest",
+        )
+        axes.set_title(f"azimuth {self.view.azimuth_deg:g}°, grazing {self.view.grazing_deg:g}°{self.view.unusual}")
+        axes.set_xlabel("azimuth, m")
+        axes.set_ylabel("slant range, m")
+        figure.colorbar(shades, ax=axes, label="β⁰, dB", shrink=0.9)
 
 
 def check_power(power: Real[np.ndarray, "*shape"], name: str) -> None:
@@ -199,40 +203,3 @@ def check_signal(
             f"the power of {name} is not the squared magnitude of its signal, {has}, which must be complex64 {shape}; "
             "make it with of_complex"
         )
-
-
-def picture_png(power: Power, view: View, grid: ImageGrid, dynamic_range_db: float) -> bytes:
-    """Draw β⁰ of one image as a PNG file; parameters and errors as for `SarImage` and its `save`."""
-    with needed("report", "a picture"):
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    figure, buffer = Figure(), io.BytesIO()
-    FigureCanvasAgg(figure)
-    _draw(power, view, grid, figure, dynamic_range_db)
-    figure.savefig(buffer, format="png", dpi=_DPI)
-    return buffer.getvalue()
-
-
-def _draw(power: Power, view: View, grid: ImageGrid, figure: Figure, dynamic_range_db: float) -> None:
-    """Draw from white, the `white_level`, to black, `dynamic_range_db` below it."""
-    if not 0 < dynamic_range_db < np.inf:
-        raise SarsplatError(f"a dynamic range of {dynamic_range_db} dB is not drawn; give a positive one, such as 40")
-    extent = grid.extent_m
-    width, height = extent[1] - extent[0], extent[2] - extent[3]
-    scale = _INCHES / max(width, height)
-    figure.set_size_inches(max(width * scale, 1.5) + 1.9, max(height * scale, 1.5) + 1.0)
-    figure.set_layout_engine("constrained")
-    axes = figure.add_subplot()
-    top = to_db(white_level(power))
-    shades = axes.imshow(
-        np.maximum(to_db(power, least=0.0), top - dynamic_range_db),
-        cmap=colormap(POWER),
-        vmin=top - dynamic_range_db,
-        vmax=top,
-        extent=extent,
-        interpolation="nearest",
-    )
-    axes.set_title(f"azimuth {view.azimuth_deg:g}°, grazing {view.grazing_deg:g}°{view.unusual}")
-    axes.set_xlabel("azimuth, m")
-    axes.set_ylabel("slant range, m")
-    figure.colorbar(shades, ax=axes, label="β⁰, dB", shrink=0.9)
