@@ -205,10 +205,10 @@ def _read_text(path: Path) -> bytes:
     return read_bytes(path, _LARGEST_JSON).removeprefix(BOM_UTF8)  # some editors put that mark first
 
 
-def read_bytes(path: Path, largest: int) -> bytes:
-    """Read a whole file; raise if it has more than `largest` bytes."""
+def read_bytes(path: Path, largest: int | None = None) -> bytes:
+    """Read a whole file, of at most `largest` bytes if given; errors as for `open_file`."""
     with open_file(path) as file:
-        if file.seek(0, os.SEEK_END) > largest:
+        if largest is not None and file.seek(0, os.SEEK_END) > largest:
             raise SarsplatError(f"{path} is larger than {largest >> 20} MiB; give a smaller file")
         file.seek(0)
         return file.read()

@@ -18,7 +18,7 @@ import torch
 from jaxtyping import Float, Float64
 from scipy.spatial.transform import Rotation
 
-from sarsplat.data.files import decode_json, open_file
+from sarsplat.data.files import decode_json, open_file, read_bytes
 from sarsplat.data.ply_points import named
 from sarsplat.data.viewer_colours import viewer_colours
 from sarsplat.errors import SarsplatError, shown
@@ -98,8 +98,7 @@ def holds_gaussians(path: Path) -> bool:
 
 def glb_columns(path: Path) -> dict[str, Float64[np.ndarray, " n"]]:
     """Read the Gaussians of a .glb file as the properties of a 3DGS PLY, z up."""
-    with open_file(path) as file:
-        data = file.read()
+    data = read_bytes(path)
     length = int.from_bytes(data[12:16], "little")
     if data[:4] != b"glTF" or data[16:20] != b"JSON":
         raise SarsplatError(f"{path} is no binary glTF; give a .glb, or a PLY of a 3DGS program")

@@ -27,7 +27,7 @@ from jaxtyping import Float, Float64
 from torch import Tensor
 
 from sarsplat.arguments import checks_arguments
-from sarsplat.data.files import decode_json, open_file
+from sarsplat.data.files import decode_json, read_bytes
 from sarsplat.data.gltf_splats import glb_columns
 from sarsplat.data.outliers import outliers
 from sarsplat.data.ply_points import named, read_ply, stacked, write_ply
@@ -71,24 +71,11 @@ SPLAT = np.dtype([("position", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4)
 def write_gaussians_ply(
     path: str | Path, gaussians: Gaussians, comments: Iterable[str] = (), *, colour: Colour = "db"
 ) -> None:
-    """Write Gaussians, whole or not at all.
+    """Write Gaussians as float32, whole or not at all; an existing file is replaced.
 
-    Parameters
-    ----------
-    path : str or Path
-        File to write; an existing one is replaced.
-    gaussians : Gaussians
-        Stored as float32.
-    comments : iterable of str
-        Lines for the header.
-    colour : "db" or "height"
-        Quantity that viewers show: γ⁰ in decibels, or the height. It does not affect reading the file.
-
-    Raises
-    ------
-    SarsplatError
-        If a value is not finite or outside its range, the scattering law is not registered, or the file cannot be
-        written.
+    `comments` are lines for the header; `colour` is the quantity that viewers show, γ⁰ in decibels or the height, and
+    does not affect reading the file. Raise SarsplatError if a value is not finite or outside its range, the scattering
+    law is not registered, or the file cannot be written.
     """
     law = _stated(gaussians.scattering)
     values = {name: t.detach().cpu().numpy().astype(np.float32) for name, t in gaussians.tensors().items()}
@@ -120,12 +107,7 @@ def read_gaussians_ply(path: str | Path) -> Gaussians:
     In files of 3DGS programs, κ = −ln(1 − opacity), the harmonics are the mean over the three colours, and p_min is 0;
     a property filter_3D (Mip-Splatting) widens Gaussians and lowers their opacity.
     A `.splat` file has one colour per Gaussian, a `.glb` (KHR_gaussian_splatting) harmonics: in sarsplat's exports
-    shades of grey for decibels.
-
-    Returns
-    -------
-    Gaussians
-        float32, on the CPU.
+    shades of grey for decibels. Gaussians are float32, on the CPU.
 
     Raises
     ------
@@ -181,8 +163,7 @@ def _read(path: Path, exact: tuple[str, ...]) -> tuple[Gaussians, Float64[np.nda
 
 def _splat_columns(path: Path) -> dict[str, Float64[np.ndarray, " n"]]:
     """Read the Gaussians of a `.splat` file as the properties of a 3DGS PLY."""
-    with open_file(path) as file:
-        data = file.read()
+    data = read_bytes(path)
     if not data or len(data) % SPLAT.itemsize:
         raise SarsplatError(
             f"{path} has {len(data)} bytes, but a .splat file has {SPLAT.itemsize} for each Gaussian; get it again, or "
@@ -208,18 +189,18 @@ def _usable(path: Path, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]
 
     Infinite logits (opacity 0 or 1) and infinite logarithms (length 0) are valid and clipped.
     """
-    needed = {name: column for name, column in columns.items() if not name.startswith(_UNUSED)}
-    if "opacity" in needed:
-        columns = columns | {"opacity": np.clip(needed["opacity"], -MAX_OPTICAL_DEPTH, MAX_OPTICAL_DEPTH)}
-        needed["opacity"] = columns["opacity"]
-    lengths = {f"scale_{k}" for k in range(3)} & needed.keys()
-    columns = columns | {name: np.maximum(needed[name], _SMALLEST_LOG) for name in lengths}
-    needed |= {name: np.where(columns[name] < _LARGEST_LOG, columns[name], np.nan) for name in lengths}
-    count = len(next(iter(needed.values()), ()))
+    columns = dict(columns)
+    if "opacity" in columns:
+        columns["opacity"] = np.clip(columns["opacity"], -MAX_OPTICAL_DEPTH, MAX_OPTICAL_DEPTH)
+    for name in {f"scale_{k}" for k in range(3)} & columns.keys():
+        length = np.maximum(columns[name], _SMALLEST_LOG)
+        columns[name] = np.where(length < _LARGEST_LOG, length, np.nan)
+    count = len(next(iter(columns.values()), ()))
     good = np.ones(count, bool)
-    for column in needed.values():
-        good &= np.isfinite(column)
-    turns = [needed[name] for name in (f"rot_{k}" for k in range(4)) if name in needed]
+    for name, column in columns.items():
+        if not name.startswith(_UNUSED):
+            good &= np.isfinite(column)
+    turns = [columns[name] for name in (f"rot_{k}" for k in range(4)) if name in columns]
     if turns:
         good &= np.any([turn != 0 for turn in turns], axis=0)
     if good.all():

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float32, UInt8
 
 from sarsplat.data.dataset import Dataset
-from sarsplat.data.files import inside, open_file, plain_os_errors
+from sarsplat.data.files import inside, plain_os_errors, read_bytes
 from sarsplat.data.header import SPLIT
 from sarsplat.data.orientation import oriented
 from sarsplat.data.tiff import read_tiff
@@ -79,8 +79,7 @@ def read_masks(folder: Path, dataset: Dataset, splits: Collection[str] | None = 
 
 def _read_mask(path: Path, dataset: Dataset) -> Mask:
     image, grid = pillow(), dataset.grid
-    with plain_os_errors("read", path):
-        data = path.read_bytes()
+    data = read_bytes(path)
     try:
         picture = image.open(io.BytesIO(data), formats=("PNG",))
         mask, grey = np.asarray(picture), picture.mode == "L"
@@ -204,7 +203,6 @@ def sidecars_of(
     for name in names.values():
         with plain_os_errors("read", folder):
             if (path := inside(folder, f"{MASKS}/{name}")).is_file():
-                with open_file(path) as file:
-                    masks[name] = file.read()
+                masks[name] = read_bytes(path)
     pictures = {chip["file"]: read_unplaced(dataset, folder, chip["file"]) for chip in chips}
     return source | ({UNPLACED: chips} if chips else {}), pictures, masks

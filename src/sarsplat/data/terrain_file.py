@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float64
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data import geotiff
-from sarsplat.data.files import open_file, write_bytes
+from sarsplat.data.files import read_bytes, write_bytes
 from sarsplat.data.geotiff import LEVELS, Raster
 from sarsplat.errors import SarsplatError, SarsplatWarning, counted, shown
 from sarsplat.geometry import Place, Terrain
@@ -84,8 +84,7 @@ def read_terrain(path: str | Path) -> Terrain:
 
 def _read_own(path: Path) -> tuple[Float64[np.ndarray, "rows columns"], tuple[float, float]] | None:
     """Read heights, row 0 north, and pitch by `write_terrain`; None if damaged or written by another program."""
-    with open_file(path) as file:
-        data = file.read()
+    data = read_bytes(path)
     try:
         with tifffile.TiffFile(io.BytesIO(data)) as tiff:
             page: Any = tiff.pages.first
