@@ -15,7 +15,6 @@ from sarsplat.learning.losses import Loss
 from sarsplat.progress import progress
 from sarsplat.runs.methods import method_named
 from sarsplat.runs.run import Run
-from sarsplat.runs.run_folder import RunFolder
 from sarsplat.runs.tiled_training import TiledTraining, TileExecutor, steps_of
 from sarsplat.runs.training_loop import Step, Training, train
 from sarsplat.settings.config import DEFAULT_METHOD, AnyConfig, Config
@@ -116,7 +115,7 @@ def reconstruct(
     else:
         config = chosen.checked(preset)
     warn(suspicions(dataset))
-    saved = earlier if earlier is not None and RunFolder(earlier.folder).checkpoint_path is not None else None
+    saved = earlier if earlier is not None and earlier.store.checkpoint_path is not None else None
     learned = None if saved is None else lambda: saved.reconstruction
     if device == "auto" and earlier is not None and earlier.trained_on == "cpu":
         target_device = device_named("cpu")  # as before

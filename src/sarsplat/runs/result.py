@@ -1,9 +1,9 @@
 """Results of a training, computed from its checkpoint alone: images, points, normals, mesh."""
 
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -37,17 +37,26 @@ class _Copied(cached_property[np.ndarray]):
         raise AttributeError(f"{self.attrname} cannot be set; it is made from the checkpoint")
 
 
-class Result(ABC):
-    """Results of a method's checkpoint."""
+class Result:
+    """Results of a method's checkpoint, in a folder or in memory."""
 
     method: str
     config: Any
+    path: Path | None
+    memory: InMemory | None
     device: str
 
     @property
-    @abstractmethod
+    def folder(self) -> Path:
+        """Folder of the run; raises a SarsplatError if the run is in memory."""
+        if self.path is None:
+            raise SarsplatError("this run is in memory and has no folder; save it first with run.save(PATH)")
+        return self.path
+
+    @property
     def store(self) -> RunFolder | InMemory:
-        """Storage of the checkpoint."""
+        """Storage of checkpoint, log and scores."""
+        return self.memory or RunFolder(self.folder)
 
     @cached_property
     def snapshot(self) -> Snapshot:
@@ -84,29 +93,10 @@ class Result(ABC):
 
     @checks_arguments
     def render(self, views: Sequence[View], grid: ImageGrid | None = None) -> Float32[np.ndarray, "v rows columns"]:
-        """Render images from any views.
+        """Render images from any views: β⁰, linear power.
 
-        Parameters
-        ----------
-        views : sequence of View
-            V views.
-        grid : ImageGrid, optional
-            Pixels and resolution; by default the run's, the only one of methods other than `sar-gs`.
-
-        Returns
-        -------
-        numpy.ndarray, float32 [V, rows, columns]
-            β⁰, linear power.
-
-        Raises
-        ------
-        SarsplatError
-            If the method cannot render on that grid.
-
-        Warns
-        -----
-        SarsplatWarning
-            If the grid is finer than the training images.
+        `grid` has pixels and resolution; by default it is the run's, and methods other than `sar-gs` reject others.
+        Warn if it is finer than the training images.
         """
         return self.reconstruction.render(views, grid)
 
@@ -123,7 +113,7 @@ class Result(ABC):
         stack : Stack or sequence of Stack
             P passes around all views, or one stack for each view; any, not only the training stacks.
         grid : ImageGrid, optional
-            Pixels and resolution; by default the run's.
+            Pixels and resolution, as for `render`; by default the run's.
 
         Returns
         -------
@@ -136,11 +126,6 @@ class Result(ABC):
         SarsplatError
             If the run was not trained on interferometric stacks, there are no views, or stacks differ from the views
             in number, from each other in passes, or from the training in polarisations.
-
-        Warns
-        -----
-        SarsplatWarning
-            As `render`.
         """
         return self.reconstruction.covariances(views, stack, grid)
 
@@ -148,22 +133,10 @@ class Result(ABC):
     def covariance_within(self, box: Box) -> Complex128[np.ndarray, "p p"]:
         """Return the polarimetric covariance of the Gaussians in a box, averaged over the training views.
 
-        Gaussians share pixels, so that only sums are determined: use boxes larger than a resolution cell.
-
-        Parameters
-        ----------
-        box : pair of (x, y, z)
-            Lower and upper corner, m.
-
-        Returns
-        -------
-        numpy.ndarray, complex128 [P, P]
-            E[y_i y_j*], m², in the order of the scattering's `polarisations`; the diagonal has radar cross-sections.
-
-        Raises
-        ------
-        SarsplatError
-            If the run was not trained on several polarisations, or no Gaussian lies in the box.
+        It is E[y_i y_j*], m², in the order of the scattering's `polarisations`; the diagonal has radar cross-sections.
+        `box` is its lower and upper corner, m. Gaussians share pixels, so that only sums are determined: use boxes
+        larger than a resolution cell. Raise SarsplatError if the run was not trained on several polarisations, or no
+        Gaussian lies in the box.
         """
         return self.reconstruction.covariance_within(box)
 

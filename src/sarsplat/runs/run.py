@@ -94,11 +94,6 @@ class Run(Result):
         where, preset = self.path or "in memory", getattr(self.config, "preset", None)
         return f"Run({where}, {self.method}{f', {preset}' if preset else ''}, seed {self.seed})"
 
-    @property
-    def store(self) -> RunFolder | InMemory:
-        """Storage of checkpoint, log and scores."""
-        return self.memory or RunFolder(self.folder)
-
     # ---- its dataset -------------------------------------------------------------------------------------------------
     @cached_property
     def target(self) -> str:
@@ -145,20 +140,9 @@ class Run(Result):
     def load(cls, path: str | Path, device: str = "cpu", dataset: Dataset | None = None) -> "Run":
         """Read a run's folder.
 
-        Parameters
-        ----------
-        path : str or Path
-            The folder.
-        device : {"auto", "cpu", "cuda"}
-            Device that renders; "auto" is the best available.
-        dataset : Dataset, optional
-            Its dataset, if that was in memory or has moved.
-
-        Raises
-        ------
-        SarsplatError
-            If it is missing or not a run of this version, method or device are unavailable, or it was made from another
-            dataset.
+        `device` renders: "cpu", "cuda", or "auto" for the best available. `dataset` is its dataset, if that was in
+        memory or has moved. Raise SarsplatError if the folder is missing or not a run of this version, method or device
+        are unavailable, or it was made from another dataset.
         """
         path = Path(path)
         header = read_header(path)
@@ -231,28 +215,11 @@ class Run(Result):
 
     @checks_arguments
     def save(self, path: str | Path, *, overwrite: bool = False, quiet: bool = False) -> "Run":
-        """Write the run with its scores to a folder, for every command.
+        """Write the run with its scores to a folder, for every command, and return the run there; it can be resumed.
 
-        Points that exist, in its folder or in memory, are not extracted again.
-
-        Parameters
-        ----------
-        path : str or Path
-            The folder; it appears when complete.
-        overwrite : bool
-            Replace an existing run.
-        quiet : bool
-            Show no progress of the extraction of points, which may take longer than the training.
-
-        Returns
-        -------
-        Run
-            The run in that folder; it can be resumed.
-
-        Raises
-        ------
-        SarsplatError
-            If the folder exists, another process is writing it, or the disk is full.
+        The folder appears when complete; with `overwrite` it replaces an existing run. Points that exist, in its folder
+        or in memory, are not extracted again; their extraction may take longer than the training, and `quiet` hides its
+        progress. Raise SarsplatError if the folder exists, another process is writing it, or the disk is full.
         """
         path = Path(path)
         if overwrite:
@@ -273,13 +240,6 @@ class Run(Result):
             if self.metrics is not None:
                 files.keep(self.metrics)
         return replace(self, path=path, memory=None)
-
-    @property
-    def folder(self) -> Path:
-        """Folder of the run; raises a SarsplatError if the run is in memory."""
-        if self.path is None:
-            raise SarsplatError("this run is in memory and has no folder; save it first with run.save(PATH)")
-        return self.path
 
     @property
     def state(self) -> TrainingState:
