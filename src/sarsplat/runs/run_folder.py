@@ -271,13 +271,8 @@ def read_header(path: Path) -> Header:
             raise SarsplatError(f"{path} is a dataset, not a run; give a run of it, {made}")
         what = f"is no folder with {HEADER}, so it is not a run" if path.exists() else "does not exist"
         raise SarsplatError(f"{path} {what}; make one with `sarsplat reconstruct DATASET --out DIR`")
-    data = read_json(header, dict[str, Any])
-    version = data.get("schema_version")
-    if data.get("schema") == SCHEMA and isinstance(version, int) and version < SCHEMA_VERSION:
-        raise SarsplatError(f"{path} was written by an older version; reconstruct it again with overwrite=True")
-    return read_versioned_json(
-        header, Header, schema=SCHEMA, version=SCHEMA_VERSION, remedy="give a run, or reconstruct it again"
-    )
+    remedy = "give a run of this version, or reconstruct it again with overwrite=True"
+    return read_versioned_json(header, Header, schema=SCHEMA, version=SCHEMA_VERSION, remedy=remedy)
 
 
 def require_replaceable(out: Path) -> None:
