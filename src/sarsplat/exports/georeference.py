@@ -24,8 +24,6 @@ from sarsplat.geometry import Place
 Coordinates = Literal["scene", "map", "degrees"]
 """Coordinate system of a file."""
 
-_POLAR = {"N": "EPSG:5041", "S": "EPSG:5042"}  # UPS, east before north
-_UTM_ENDS_DEG = (-80.0, 84.0)
 _STEP_M = 100.0
 """Step of the finite differences of the projection, short against the earth's radius, m."""
 _STRETCHED = 0.01
@@ -173,9 +171,10 @@ class MapSystem:
 
 def usual_system(place: Place) -> str:
     """Return the UTM zone of a place, or UPS near the poles."""
-    low, high = _UTM_ENDS_DEG
-    if not low <= place.latitude_deg <= high:
-        return _POLAR["N" if place.latitude_deg > 0 else "S"]
+    if place.latitude_deg > 84.0:
+        return "EPSG:5041"  # UPS, east before north
+    if place.latitude_deg < -80.0:
+        return "EPSG:5042"
     zone = int((place.longitude_deg + 180) // 6) % 60 + 1
     return f"EPSG:{(32600 if place.latitude_deg >= 0 else 32700) + zone}"
 
