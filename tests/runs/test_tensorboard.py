@@ -12,7 +12,7 @@ import pytest
 
 from made import FEW_POINTS, dataset_of
 from made_runs import assert_same
-from sarsplat import Config, Dataset, ImageGrid, SarsplatError, View, preset, write_dataset
+from sarsplat import Config, Dataset, ImageGrid, Run, SarsplatError, View, preset, write_dataset
 from sarsplat.cli import main
 from sarsplat.runs import METHODS, Step, TensorBoard, reconstruct
 
@@ -32,6 +32,12 @@ def dataset() -> Dataset:
     return dataset_of(GRID, views, images)
 
 
+@pytest.fixture(scope="module")
+def plain(dataset: Dataset) -> Run:
+    """The training that nobody watches."""
+    return reconstruct(dataset, CONFIG, quiet=True)
+
+
 def read(folder: Path) -> EventAccumulator:
     actual = EventAccumulator(str(folder), size_guidance={"images": 0, "scalars": 0})
     actual.Reload()
@@ -42,8 +48,9 @@ def steps(actual: EventAccumulator, tag: str) -> list[int]:
     return [event.step for event in actual.Scalars(tag)]
 
 
-def test_curves_and_images(dataset: Dataset, tmp_path: Path) -> None:
+def test_curves_and_images(dataset: Dataset, plain: Run, tmp_path: Path) -> None:
     run = reconstruct(dataset, CONFIG, on_step=TensorBoard(tmp_path / "log", dataset), quiet=True)
+    assert_same(run.snapshot, plain.snapshot)
     actual = read(tmp_path / "log")
     assert steps(actual, "loss") == list(range(1, 13))
     logged = [event.value for event in actual.Scalars("loss")]
@@ -82,18 +89,17 @@ def dying(board: TensorBoard, iteration: int) -> Callable[[Step], None]:
 
 
 @pytest.mark.parametrize("inside", [True, False])
-def test_nothing_changes_and_resuming_appends(dataset: Dataset, tmp_path: Path, inside: bool) -> None:
+def test_resuming_appends(dataset: Dataset, plain: Run, tmp_path: Path, inside: bool) -> None:
     """A training that dies at step 9 is resumed from its checkpoint at step 6; what it logged since is hidden."""
     out = tmp_path / "run"
     log = out / "tensorboard" if inside else tmp_path / "log"
-    whole = reconstruct(dataset, CONFIG, tmp_path / "whole", quiet=True)
     with pytest.raises(Died):
         reconstruct(dataset, CONFIG, out, on_step=dying(TensorBoard(log, dataset), 9), quiet=True)
     assert steps(read(log), "loss") == list(range(1, 10))  # flushed, though nobody closed it
     (out / "checkpoints" / "00000009.safetensors").unlink()  # as if killed
     resumed = reconstruct(dataset, CONFIG, out, on_step=TensorBoard(log, dataset), resume=True, quiet=True)
     assert steps(read(log), "loss") == list(range(1, 13))
-    assert_same(resumed.snapshot, whole.snapshot)
+    assert_same(resumed.snapshot, plain.snapshot)
 
 
 def test_a_run_that_is_overwritten_keeps_its_log_until_the_new_one_is_there(dataset: Dataset, tmp_path: Path) -> None:

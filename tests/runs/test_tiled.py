@@ -129,13 +129,8 @@ def stored(dataset: Dataset, tmp_path: Path) -> Dataset:
 @pytest.fixture
 def executor(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[..., Ends]], str]:
     """Makes an executor of a function; returns its name."""
-
-    def named(do: Callable[..., Ends]) -> str:
-        monkeypatch.setitem(EXECUTORS._entries, "made", None)
-        monkeypatch.setitem(EXECUTORS._loaded, "made", do)
-        return "made"
-
-    return named
+    monkeypatch.setitem(EXECUTORS._entries, "made", None)
+    return lambda do: monkeypatch.setitem(EXECUTORS._loaded, "made", do) or "made"
 
 
 def here(jobs: Sequence[TileJob], out: Path, means: Means) -> Ends:
@@ -220,52 +215,39 @@ def test_tiles_go_on_whoever_began(
 
 
 def test_an_unfinished_tile_is_one_sentence(stored: Dataset, config: Config, tmp_path: Path, executor: Any) -> None:
-    out = tmp_path / "run"
-    made = executor(lambda jobs, *_: (one for one in [(jobs[2], TileEnd("its process ended with code 3; resume it"))]))
-    with pytest.raises(SarsplatError, match=r"^tile 3 of 4 was not finished: its process ended with code 3; resume"):
-        reconstruct(stored, config, out, executor=made, quiet=True)
-    busy = executor(lambda jobs, *_: (one for one in [(jobs[0], None)]))
-    with pytest.raises(SarsplatError, match="tile 1 of 4 was not finished: another process"):
-        reconstruct(stored, config, out, executor=busy, quiet=True, resume=True)
+    out, end = tmp_path / "run", TileEnd("its process ended with code 3; resume it")
     (tmp_path / "data" / "images").rename(tmp_path / "data" / "elsewhere")
-    with pytest.raises(SarsplatError, match=r"^tile 4 of 4 was not finished: .*images"):
-        reconstruct(stored, config, out, executor=executor(here), quiet=True, resume=True)
+    for do, words in (
+        (lambda jobs, *_: (one for one in [(jobs[2], end)]), "tile 3 of 4 was not finished: its process ended with"),
+        (lambda jobs, *_: (one for one in [(jobs[0], None)]), "tile 1 of 4 was not finished: another process"),
+        (here, "tile 4 of 4 was not finished: .*images"),
+    ):
+        with pytest.raises(SarsplatError, match=f"^{words}"):
+            reconstruct(stored, config, out, executor=executor(do), quiet=True, resume=out.exists())
+
+
+NEEDS = "executor is local, which needs tiles above 1, the dataset's folder, out"
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("changes", "given", "message"),
     [
-        ({"executor": "lokal"}, "executor .lokal. is unknown; did you mean local"),
-        *(
-            ({"executor": "local", **given}, "executor is local, which needs tiles above 1, the dataset's folder, out")
-            for given in ({"tiles": 1}, {"out": None}, {"loss": lambda a, b: (a - b).abs().mean()})
-        ),
+        ({}, {"executor": "lokal"}, "executor .lokal. is unknown; did you mean local"),
+        ({"tiles": 1}, {"executor": "local"}, NEEDS),
+        ({}, {"executor": "local", "out": None}, NEEDS),
+        ({}, {"executor": "local", "loss": lambda a, b: (a - b).abs().mean()}, NEEDS),
+        ({"tiles": 0}, {}, "tiles.* 1"),
+        ({"tiles": 3}, {}, "tiles is 3, .* blocks of 2 × 2 pixels, by the scene's size; give tiles from 1 to 2"),
+        ({"tiles": 9, "coarsest": 2}, {}, "by the setting coarsest"),
+        ({"surroundings": Surroundings()}, {}, "surroundings is on, which cannot be combined with tiles 2"),
+        ({"densification": Densification()}, {}, "densification is on, which cannot be combined with tiles 2"),
     ],
 )
-def test_refusals_of_others(
-    stored: Dataset, config: Config, tmp_path: Path, given: dict[str, Any], message: str
-) -> None:
-    how = replace(config, tiles=given.pop("tiles", 2))
-    with pytest.raises(SarsplatError, match=message):
-        reconstruct(stored, how, given.pop("out", tmp_path / "run"), quiet=True, **given)
-    assert not (tmp_path / "run").exists()
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"tiles": 0}, "tiles.* 1"),
-        ({"tiles": 3}, "tiles is 3, .* blocks of 2 × 2 pixels, by the scene's size; give tiles from 1 to 2"),
-        ({"tiles": 9, "coarsest": 2}, "by the setting coarsest"),
-        ({"surroundings": Surroundings()}, "surroundings is on, which cannot be combined with tiles 2"),
-        ({"densification": Densification()}, "densification is on, which cannot be combined with tiles 2"),
-    ],
-)
-def test_refusals_of_tiles(
-    dataset: Dataset, config: Config, changes: dict[str, Any], message: str, tmp_path: Path
+def test_refusals(
+    stored: Dataset, config: Config, tmp_path: Path, changes: dict[str, Any], given: dict[str, Any], message: str
 ) -> None:
     with pytest.raises(SarsplatError, match=message):
-        reconstruct(dataset, replace(config, **changes), tmp_path / "run", quiet=True)
+        reconstruct(stored, replace(config, **changes), **{"out": tmp_path / "run", "quiet": True, **given})
     assert not (tmp_path / "run").exists()
 
 
