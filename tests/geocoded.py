@@ -8,9 +8,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
-import tifffile
 from scipy.ndimage import map_coordinates
 
+from made import write_geotiff
 from sarsplat.geometry import ImageGrid, View
 
 UTM_33N = (1, 1, 0, 3, 1024, 0, 1, 1, 1025, 0, 1, 1, 3072, 0, 1, 32633)
@@ -42,10 +42,7 @@ def on_map(
 
 def write_map(path: Path, pixels: np.ndarray, pitch: float, keys=UTM_33N, corner=(5e5, 5e6), extra=()) -> Path:
     """A GeoTIFF whose top left corner lies there."""
-    tags = [(33550, "d", 3, (pitch, pitch, 0.0), True), (33922, "d", 6, (0.0, 0.0, 0.0, *corner, 0.0), True)]
-    tags += [(34735, "H", len(keys), keys, True)] if keys else []
-    tifffile.imwrite(path, pixels, metadata=None, extratags=[*tags, *extra])
-    return path
+    return write_geotiff(path, pixels, keys, (pitch, pitch, 0.0), extra, corner)
 
 
 def write_maps(

@@ -2,6 +2,7 @@
 
 import io
 import math
+import struct
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -136,13 +137,21 @@ def in_memory(write: Callable[..., object], *arguments: Any, **options: Any) -> 
     return buffer.getvalue()
 
 
+def pack_glb(text: bytes, rest: bytes) -> bytes:
+    """A binary glTF of this JSON, and chunks after it."""
+    text += b" " * (-len(text) % 4)
+    return b"glTF" + struct.pack("<III", 2, 20 + len(text) + len(rest), len(text)) + b"JSON" + text + rest
+
+
 PROJECTED = (1, 1, 0, 2, 1024, 0, 1, 1, 3076, 0, 1, 9001)
 """GeoTIFF keys of a projected system in metres."""
 
 
-def write_geotiff(path: Path, heights: np.ndarray, keys=PROJECTED, scale=(2.0, 3.0, 0.0), extra=(), **options) -> Path:
-    """What other programs write."""
-    tags = [(33922, "d", 6, (0.0, 0.0, 0.0, 5e5, 5e6, 0.0), True)]
+def write_geotiff(
+    path: Path, heights: np.ndarray, keys=PROJECTED, scale=(2.0, 3.0, 0.0), extra=(), corner=(5e5, 5e6), **options
+) -> Path:
+    """What other programs write; the top left corner lies at `corner`."""
+    tags = [(33922, "d", 6, (0.0, 0.0, 0.0, *corner, 0.0), True)]
     tags += [(33550, "d", 3, scale, True)] if scale else []
     tags += [(34735, "H", len(keys), keys, True)] if keys else []
     tifffile.imwrite(path, heights, metadata=None, extratags=[*tags, *extra], **options)

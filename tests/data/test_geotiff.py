@@ -43,12 +43,22 @@ def test_rows_go_north_and_columns_east(tmp_path):
         assert level.height_m(np.array([1.0, 50.0]), np.array([0.0, 0.0])) == pytest.approx([0.5, 1.5])
 
 
-def test_what_is_written_is_read_to_the_bit(tmp_path):
-    terrain = hill().centred()
-    write_terrain(tmp_path / "hill.tif", terrain)
-    read = read_terrain(tmp_path / "hill.tif")
+def test_what_is_written_is_read_to_the_bit_and_by_other_programs(tmp_path):
+    terrain, path = hill().centred(), tmp_path / "hill.tif"
+    write_terrain(path, terrain)
+    read = read_terrain(path)
     assert np.array_equal(read.heights_m, terrain.heights_m)
     assert read.pitch_m == terrain.pitch_m
+    with tifffile.TiffFile(path) as tiff:
+        tags = tiff.geotiff_metadata
+    assert tags["ModelPixelScale"][:2] == [0.5, 0.4]
+    assert tags["GTModelTypeGeoKey"] == 1
+    assert tags["ModelTiepoint"][3:5] == [-15.0, 12.0]
+    with rasterio.open(path, "r+") as file:  # of another program that knows where it is
+        file.crs = "EPSG:32632"
+        file.transform = rasterio.Affine(2.0, 0, 5e5, 0, -2.0, 5e6)
+    place = read_terrain(path).place
+    assert place is not None and place.latitude_deg == pytest.approx(45.15, abs=0.01)
 
 
 def test_what_is_not_known_at_edges_is_cut_off_around_the_same_middle(tmp_path):
@@ -86,21 +96,10 @@ def test_terrain_that_ends_within_the_images_is_reported():
     assert not any("terrain" in text for text in suspicions(small_dataset(terrain=hill())))
 
 
-def test_other_programs_read_it(tmp_path):
-    write_terrain(tmp_path / "hill.tif", hill())
-    with tifffile.TiffFile(tmp_path / "hill.tif") as tiff:
-        tags = tiff.geotiff_metadata
-        assert tags["ModelPixelScale"][:2] == [0.5, 0.4]
-        assert tags["GTModelTypeGeoKey"] == 1
-        assert tags["ModelTiepoint"][3:5] == [-15.0, 12.0]
-
-
 def on_map(path: Path, epsg: int, east: float, north: float, *more: int, heights: np.ndarray = HEIGHTS) -> Path:
     """Heights of 20 × 30 m, or as many pixels as there are, whose first pixel begins at a corner of a map."""
     keys = (1, 1, 0, 3 + len(more) // 4, 1024, 0, 1, 1, 3072, 0, 1, epsg, 3076, 0, 1, 9001, *more)
-    tags = [(33922, "d", 6, (0.0, 0.0, 0.0, east, north, 0.0), True), (33550, "d", 3, (20.0, 30.0, 0.0), True)]
-    tifffile.imwrite(path, heights, metadata=None, extratags=[*tags, (34735, "H", len(keys), keys, True)])
-    return path
+    return write_geotiff(path, heights, keys, (20.0, 30.0, 0.0), corner=(east, north))
 
 
 ZONES = [(32632, 7.0, 47.3), (32756, 151.2, -33.9), (32660, 179.99, 64.0), (2056, 8.5, 47.3), (3857, 8.5, 60.0)]
@@ -187,14 +186,14 @@ def test_a_dataset_takes_the_place_of_its_terrain():
 
 
 def test_heights_have_scale_and_offset_of_their_file_and_are_in_metres(tmp_path):
-    for item, factor in (("scale", 0.1), ("offset", 5.0), ("unittype", None)):
-        text = f'<GDALMetadata><Item name="A" sample="0" role="{item}">{factor or "ft"}</Item></GDALMetadata>'
-        path = write_geotiff(tmp_path / "a.tif", HEIGHTS.astype(np.int16), extra=[(42112, "s", 0, text, True)])
-        if factor is None:
-            with pytest.raises(SarsplatError, match="measured upwards in 'ft'; convert"):
-                read_terrain(path)
-        else:
-            assert read_terrain(path).heights_m.max() == pytest.approx(11 * 0.1 if item == "scale" else 11 + 5)
+    def made(item, value):
+        text = f'<GDALMetadata><Item name="A" sample="0" role="{item}">{value}</Item></GDALMetadata>'
+        return write_geotiff(tmp_path / "a.tif", HEIGHTS.astype(np.int16), extra=[(42112, "s", 0, text, True)])
+
+    for item, value, highest in (("scale", 0.1, 1.1), ("offset", 5.0, 16.0)):
+        assert read_terrain(made(item, value)).heights_m.max() == pytest.approx(highest)
+    with pytest.raises(SarsplatError, match="measured upwards in 'ft'; convert"):
+        read_terrain(made("unittype", "ft"))
 
 
 @pytest.mark.parametrize("hole", [-9999.0, -32768.0, -3.4028234663852886e38])
@@ -281,19 +280,3 @@ def test_coordinates_far_from_where_a_system_is_for_are_told(tmp_path):
             warnings.simplefilter("always")
             assert read_terrain(on_map(tmp_path / "a.tif", epsg, *at)).place is not None
         assert any("check its number and its coordinates" in str(one.message) for one in caught) == told
-
-
-def test_terrain_of_ours_that_another_program_placed_is_read_as_it_says(tmp_path):
-    path = tmp_path / "a.tif"
-    write_terrain(path, hill())
-    with rasterio.open(path, "r+") as file:
-        file.crs = "EPSG:32632"
-        file.transform = rasterio.Affine(2.0, 0, 5e5, 0, -2.0, 5e6)
-    place = read_terrain(path).place
-    assert place is not None and place.latitude_deg == pytest.approx(45.15, abs=0.01)
-
-
-def test_heights_of_other_formats_need_a_system(tmp_path):
-    (tmp_path / "a.asc").write_text("ncols 3\nnrows 2\nxllcorner 8.5\nyllcorner 47.1\ncellsize 0.00083\n1 2 3\n4 5 6\n")
-    with pytest.raises(SarsplatError, match="names no coordinate system"):
-        read_terrain(tmp_path / "a.asc")
