@@ -24,7 +24,7 @@ import sicds
 from chip_files import COLUMNS, phoenix_bytes
 from fuzz_mutations import NUMBERS, Mutation, spoil_bytes, spoil_json
 from fuzz_radar_files import written
-from made import dataset_of, in_memory
+from made import dataset_of, in_memory, pack_glb
 from sarsplat.data import (
     load_checkpoint,
     read_dataset,
@@ -328,9 +328,7 @@ def _instances(text: bytes) -> bytes:
 def _with_header(data: bytes, change: Callable[[bytes], bytes]) -> bytes:
     """A GLB whose JSON is changed, with the lengths put right."""
     length = int.from_bytes(data[12:16], "little")
-    text, rest = change(data[20 : 20 + length]), data[20 + length :]
-    text += b" " * (-len(text) % 4)
-    return b"glTF" + struct.pack("<III", 2, 20 + len(text) + len(rest), len(text)) + b"JSON" + text + rest
+    return pack_glb(change(data[20 : 20 + length]), data[20 + length :])
 
 
 def _spoil_glb(data: bytes, rng: random.Random) -> bytes:

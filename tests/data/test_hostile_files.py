@@ -23,6 +23,7 @@ import pytest
 import sarsplat
 from fuzz import Tally, judge, sentence_faults, watched
 from fuzz_inputs import GRID, READERS, Reader, prepare_dataset
+from made import pack_glb
 from sarsplat.cli import main
 from sarsplat.data import load_checkpoint, read_dataset, read_json, read_points_ply, read_tiff, write_json, write_tiff
 from sarsplat.errors import SarsplatError
@@ -181,15 +182,9 @@ def test_ply_headers_that_promise_more_than_there_is(tmp_path, lines):
     assert cost.bytes < 64 << 20
 
 
-def glb(scene: dict, data: bytes = b"") -> bytes:
-    text = json.dumps({"asset": {"version": "2.0"}, **scene}).encode()
-    text += b" " * (-len(text) % 4)
-    body = struct.pack("<I", len(data)) + b"BIN\0" + data
-    return b"glTF" + struct.pack("<III", 2, 20 + len(text) + len(body), len(text)) + b"JSON" + text + body
-
-
 def triangle(**changes: object) -> bytes:
     scene = {
+        "asset": {"version": "2.0"},
         "buffers": [{"byteLength": 36}],
         "bufferViews": [{"buffer": 0, "byteLength": 36}],
         "accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}],
@@ -197,7 +192,8 @@ def triangle(**changes: object) -> bytes:
         "nodes": [{"mesh": 0}],
         "scenes": [{"nodes": [0]}],
     }
-    return glb({**scene, **changes}, struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0))
+    body = struct.pack("<I4s9f", 36, b"BIN\0", 0, 0, 0, 1, 0, 0, 0, 1, 0)
+    return pack_glb(json.dumps({**scene, **changes}).encode(), body)
 
 
 @pytest.mark.parametrize(
