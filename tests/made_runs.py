@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from made import FEW_POINTS, dataset_of
-from sarsplat import Config, Dataset, ImageGrid, Run, Trainer, View, preset, reconstruct, write_dataset
+from sarsplat import Config, Dataset, ImageGrid, Place, Run, Trainer, View, preset, reconstruct, write_dataset
 from sarsplat.evaluation import IMAGE_METRICS, Yardstick, all_metrics, metrics_of_points
 from sarsplat.geometry.responses import TAYLOR
 from sarsplat.learning.snapshot import Snapshot
@@ -32,6 +32,20 @@ def assert_same(one: Snapshot, other: Snapshot) -> None:
     """Assert that all tensors are the same to the bit."""
     assert one.tensors.keys() == other.tensors.keys()
     assert [name for name, tensor in one.tensors.items() if not torch.equal(tensor, other.tensors[name])] == []
+
+
+# ---- points of any surface ------------------------------------------------------------------------------------------
+def with_points(run: Run, points: Any, normals: Any, gamma0: Any, **changes: Any) -> Run:
+    """The run with these points, and other fields."""
+    made = replace(run, **changes)
+    for name, values in (("points", points), ("normals", normals), ("points_gamma0", gamma0)):
+        vars(made)[name] = None if values is None else np.asarray(values, np.float32)
+    return made
+
+
+def at(run: Run, place: Place | None) -> Run:
+    """The run with its points elsewhere on earth."""
+    return with_points(run, run.points, run.normals, run.points_gamma0, place=place)
 
 
 # ---- chips: a bright block and its shadow on speckled ground, hardly trained -----------------------------------------

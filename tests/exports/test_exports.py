@@ -10,6 +10,7 @@ import torch
 import trimesh
 
 from made import FEW_POINTS
+from made_runs import with_points
 from sarsplat import Dataset, Place, SarsplatError, View, load_mesh, preset, read_gaussians_ply
 from sarsplat.exports import FORMATS, export, format_of
 from sarsplat.runs import METHODS, Run, reconstruct
@@ -39,6 +40,7 @@ def test_meshes_are_read_by_trimesh(run: Run, tmp_path: Path, ending: str) -> No
     assert said.endswith("stored vertices are z up" if ending == "glb" else "triangles, metres, z up")
     read: Any = trimesh.load(path, force="mesh")  # a scene's nodes applied
     expected = run.mesh()
+    assert expected is run.mesh()  # made once for scores, report and exports
     (x0, y0, z0), (x1, y1, z1) = expected.bounds
     upright = [(x0, z0, -y1), (x1, z1, -y0)] if ending == "glb" else expected.bounds  # y is up in glTF
     np.testing.assert_allclose(read.bounds, upright, atol=1e-5)
@@ -79,9 +81,7 @@ def test_las_is_read_by_laspy(run: Run, tmp_path: Path, ending: str) -> None:
 
 
 def test_las_holds_targets_of_any_size(run: Run, tmp_path: Path) -> None:
-    large = replace(run)
-    large.__dict__.update(points=run.points * np.float32(1e6), normals=run.normals, points_gamma0=None)
-    export(large, tmp_path / "large.las")
+    export(with_points(run, run.points * 1e6, run.normals, None), tmp_path / "large.las")
     np.testing.assert_allclose(laspy.read(tmp_path / "large.las").xyz, run.points * 1e6, atol=1, rtol=1e-6)
 
 
@@ -125,8 +125,7 @@ def test_errors_on_unknown_endings_list_the_valid_ones(tmp_path: Path) -> None:
 @pytest.mark.parametrize("ending", FORMATS)
 def test_empty_runs_are_not_exported(run: Run, tmp_path: Path, ending: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Run, "gaussians", run.gaussians[:0])
-    empty = replace(run, place=Place(1.0, 2.0, 3.0))
-    empty.__dict__["points"] = np.empty((0, 3), np.float32)
+    empty = with_points(run, np.empty((0, 3)), np.empty((0, 3)), None, place=Place(1.0, 2.0, 3.0))
     for content in FORMATS[ending].writers:
         view = View(30, 35) if content == "layover-shadow" else None
         with pytest.raises(SarsplatError, match=r"the run in memory has (no|too few) "):
@@ -134,15 +133,11 @@ def test_empty_runs_are_not_exported(run: Run, tmp_path: Path, ending: str, monk
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_mesh_is_made_once(run: Run) -> None:
-    assert run.mesh() is run.mesh()  # for scores, report and exports of one run
-
-
 def test_other_methods_have_points_but_no_gaussians(small_box: Dataset, tmp_path: Path) -> None:
     method = "sar-nerf-grid"
     settings = replace(METHODS[method].preset("auto", small_box), iterations=2)
     other = reconstruct(small_box, settings, method=method, device="cpu", quiet=True)
-    other.__dict__.update(points=np.eye(3, dtype=np.float32), normals=np.eye(3, dtype=np.float32))
+    other = with_points(other, np.eye(3), np.eye(3), None)
     for name in ("a.ply", "a.splat"):
         with pytest.raises(SarsplatError, match=r"was made by sar-nerf-grid, which learns no Gaussians; export its"):
             export(other, tmp_path / name)

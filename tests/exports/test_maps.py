@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from made import FEW_POINTS, upright
+from made_runs import at, with_points
 from sarsplat import Dataset, Place, Run, SarsplatError, View, preset, reconstruct
 from sarsplat.cli import main
 from sarsplat.data.geotiff import Raster, write_raster
@@ -40,16 +41,8 @@ def points_of_block() -> tuple[np.ndarray, np.ndarray]:
 @pytest.fixture(scope="module")
 def block() -> Run:
     run = Run.from_gaussians(upright(np.random.default_rng(0).normal(size=(40, 3))), views=[View(0.0, 40.0)])
-    return with_points(replace(run))
-
-
-def with_points(run: Run) -> Run:
     points, normals = points_of_block()
-    gamma0 = np.where(normals[:, 2] > 0.5, 0.25, 4.0)
-    run.__dict__.update(
-        points=points.astype(np.float32), normals=normals.astype(np.float32), points_gamma0=gamma0.astype(np.float32)
-    )
-    return run
+    return with_points(run, points, normals, np.where(normals[:, 2] > 0.5, 0.25, 4.0))
 
 
 def pixels_of(profile: Any, x: Any, y: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -79,7 +72,7 @@ def test_heights_and_brightness_are_of_the_roof_in_the_scenes_own_axes(block: Ru
 
 @pytest.mark.parametrize("place", [Place(45.29, 7.5, 312.0), Place(-33.9, 151.2, -12.0, 17.0)])
 def test_on_earth_it_lies_where_pyproj_says(block: Run, tmp_path: Path, place: Place) -> None:
-    run = with_points(replace(block, place=place))
+    run = at(block, place)
     assert "EPSG:32" in export(run, tmp_path / "dsm.tif", pixel_m=0.25).summary
     profile, values = read(tmp_path / "dsm.tif")
     to_map = pyproj.Transformer.from_crs("EPSG:4978", profile["crs"].to_wkt(), always_xy=True)
@@ -106,7 +99,7 @@ def test_on_earth_it_lies_where_pyproj_says(block: Run, tmp_path: Path, place: P
 def test_a_map_names_the_zero_level_of_its_heights(
     block: Run, tmp_path: Path, name: str, above: Any, said: str
 ) -> None:
-    placed = with_points(replace(block, place=Place(45.29, 7.5, 312.0, height_above=above)))
+    placed = at(block, Place(45.29, 7.5, 312.0, height_above=above))
     export(placed, tmp_path / "a.tif", name, pixel_m=0.5, view=View(0, 40) if name == "layover-shadow" else None)
     with rasterio.open(tmp_path / "a.tif") as file:
         assert file.crs.to_epsg() == 32632
@@ -130,7 +123,7 @@ def test_a_map_names_the_zero_level_of_its_heights(
 
 def test_layover_is_before_the_block_and_shadow_behind_it(block: Run, tmp_path: Path) -> None:
     place = Place(45.29, 7.5, 312.0, 17.0)  # x towards north-north-east
-    for run, turn in ((block, 0.0), (with_points(replace(block, place=place)), 90.0 - 17.0)):
+    for run, turn in ((block, 0.0), (at(block, place), 90.0 - 17.0)):
         path = tmp_path / "layover-shadow.tif"
         said = export(run, path, view=View(40.0, 35.0), pixel_m=0.25).summary
         stated = float(said.partition("in the direction ")[2].partition("°")[0])
@@ -171,7 +164,7 @@ def test_shares_are_of_what_was_seen_however_far_the_map_goes_on(block: Run, tmp
 
 
 def test_a_map_whose_metres_are_half_as_long_shows_the_same_shadows(block: Run, tmp_path: Path) -> None:
-    placed = with_points(replace(block, place=Place(60.0, 10.0, 100.0)))
+    placed = at(block, Place(60.0, 10.0, 100.0))
     shares = {}
     for name, pixel_m, crs in (("utm", 0.25, None), ("mercator", 0.5, "EPSG:3857")):
         view = View(20, 40)
@@ -231,7 +224,8 @@ def test_names_decide_what_a_map_holds_and_what_does_not_fit_is_refused(block: R
     for name, given, sentence in cases:
         with pytest.raises(SarsplatError, match=sentence):
             export(block, tmp_path / name, **given)
-    flying = with_points(Run.from_gaussians(block.gaussians, views=[View(0.0, 40.0, aloft=True)]))
+    aloft = Run.from_gaussians(block.gaussians, views=[View(0.0, 40.0, aloft=True)])
+    flying = with_points(aloft, block.points, block.normals, block.points_gamma0)
     with pytest.raises(SarsplatError, match="shows a target aloft"):
         export(flying, tmp_path / "layover-shadow.tif", view=View(0, 30))
     assert list(tmp_path.iterdir()) == []
@@ -244,9 +238,9 @@ def test_maps_that_do_not_fit_into_memory(
     block: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: Any, place: Place | None
 ) -> None:
     """What they need is known before, and not much more than what they take."""
-    run, view = with_points(replace(block, place=place)), View(45.0, 40.0) if what == "layover-shadow" else None
-    points = np.concatenate([run.points[:500], run.points[:500] + np.array([500, 600, 0], np.float32)])
-    vars(run).update(points=points, normals=run.normals[:1000], points_gamma0=run.points_gamma0[:1000])
+    points = np.concatenate([block.points[:500], block.points[:500] + np.array([500, 600, 0], np.float32)])
+    run = with_points(block, points, block.normals[:1000], block.points_gamma0[:1000], place=place)
+    view = View(45.0, 40.0) if what == "layover-shadow" else None
     needed: list[float] = []
     monkeypatch.setattr("sarsplat.exports.maps.required", lambda _, most, __: needed.append(most))
     tracemalloc.start()

@@ -1,7 +1,6 @@
 """Exports of a run that knows where on earth it is, read back by programs that are not ours."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +8,7 @@ import numpy as np
 import pytest
 
 from made import upright
+from made_runs import at, with_points
 from sarsplat import Place, Run, SarsplatError, SarsplatWarning, View, export, write_gaussians_ply
 from sarsplat.cli import main
 from sarsplat.exports.format_geojson import rings_of
@@ -33,19 +33,11 @@ SWISS, CUT = Place(47.3, 8.5, 420.0), {"crs": "EPSG:3857"}
 def anywhere() -> Run:
     """Points of a bump, 60 m wide."""
     run = Run.from_gaussians(upright(np.random.default_rng(0).normal(size=(40, 3))), views=[View(0.0, 40.0)])
-    places = np.random.default_rng(1).uniform(-30, 30, size=(500, 3)).astype(np.float32)
+    places = np.random.default_rng(1).uniform(-30, 30, size=(500, 3))
     places[:, 2] = 4 * np.exp(-(places[:, :2] ** 2).sum(axis=1) / 400)
     normals = np.column_stack([places[:, :2] * places[:, 2:] / 200, np.ones(500)])
-    normals = (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
-    run.__dict__.update(points=places, normals=normals, points_gamma0=np.linspace(0.1, 1, 500, dtype=np.float32))
-    return run
-
-
-def at(run: Run, place: Place | None) -> Run:
-    """The same run elsewhere."""
-    moved = replace(run, place=place)
-    moved.__dict__.update({name: run.__dict__[name] for name in ("points", "normals", "points_gamma0")})
-    return moved
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return with_points(run, places, normals, np.linspace(0.1, 1, 500))
 
 
 @pytest.mark.parametrize(("place", "usual"), PLACES.values(), ids=PLACES)

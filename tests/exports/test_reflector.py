@@ -19,6 +19,7 @@ import sarkit.wgs84
 from sarkit.sicd import projection
 
 from made import upright
+from made_runs import with_points
 from sarsplat import Dataset, Run, SarsplatWarning, View, export, import_sicd, preset, reconstruct
 from sarsplat.importers.sicd_file import read_sicd
 from sicds import SPOT, Recording, Track, axes, ecef, write_sicd
@@ -95,9 +96,8 @@ def test_a_reflector_found_in_the_images(tmp_path: Path, squint_deg: float) -> N
         seen += [grid.azimuth_m[0] + column * grid.spacing_m[0], grid.range_m[0] + row * grid.spacing_m[1]]
         rows.append(view.look.gradients)
     place = np.linalg.lstsq(np.concatenate(rows), np.array(seen), rcond=None)[0]
-    run = replace(Run.from_gaussians(upright(place[None]), views=[View(0.0, 40.0)]), place=dataset.place)
-    up = np.array([[0.0, 0.0, 1.0]], np.float32)
-    run.__dict__.update(points=place[None].astype(np.float32), normals=up, points_gamma0=np.ones(1, np.float32))
+    run = Run.from_gaussians(upright(place[None]), views=[View(0.0, 40.0)])
+    run = with_points(run, [place], [[0.0, 0.0, 1.0]], [1.0], place=dataset.place)
     found, _ = las_of(run, tmp_path / "a.las")
     assert np.abs((truth - ecef(CORNER)) @ axes()[:2].T).max() < 0.1  # parabolas are no more exact
     off = (found - truth.mean(axis=0)) @ axes().T
