@@ -1,7 +1,9 @@
 """What is refused: a room has one table of things to do in an empty folder and of words of the sentence they end in."""
 
+import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -26,3 +28,17 @@ def stored(data: bytes, read: Do, name: str = "a") -> Do:
         return read(at / name)
 
     return do
+
+
+def edit_json(path: Path, place: str, value: object) -> dict[str, Any]:
+    """Put another value at a dotted place of a file, or remove what is there for KeyError; returns the whole."""
+    *parents, last = [int(key) if key.isdigit() else key for key in place.split(".")]
+    inner = whole = json.loads(path.read_text())
+    for key in parents:
+        inner = inner[key]
+    if value is KeyError:
+        del inner[last]
+    else:
+        inner[last] = value
+    path.write_text(json.dumps(whole))
+    return whole

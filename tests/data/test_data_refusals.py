@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +15,7 @@ import torch
 from PIL import Image
 
 from made import NOISE, SIGNALS, TINY, VIEWS, hill, small_dataset, small_mask, tiny_dataset, upright, write_geotiff
-from refusals import Do, Refusals, check_refused, stored
+from refusals import Do, Refusals, check_refused, edit_json, stored
 from sarsplat import Terrain, Turn, read_terrain
 from sarsplat.data import (
     Dataset,
@@ -169,18 +168,7 @@ def altered(change: Callable[[Path], object], **fields: Any) -> Do:
 
 def header(place: str, value: object) -> Do:
     """With another value at that place, or none if it is KeyError."""
-    *parents, last = [int(key) if key.isdigit() else key for key in place.split(".")]
-
-    def change(folder: Path) -> None:
-        inner = whole = json.loads((folder / "dataset.json").read_text())
-        for key in parents:
-            inner = inner[key]
-        inner[last] = value
-        if value is KeyError:
-            del inner[last]
-        (folder / "dataset.json").write_text(json.dumps(whole))
-
-    return altered(change)
+    return altered(lambda folder: edit_json(folder / "dataset.json", place, value))
 
 
 HEADERS: Refusals = [

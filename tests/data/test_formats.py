@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from made import SIGNALS, tiny_dataset
+from refusals import edit_json
 from sarsplat.data import read_dataset, write_dataset
 from sarsplat.errors import SarsplatError
 
@@ -71,25 +72,19 @@ def test_what_sarsplat_writes_fits_the_schema(tmp_path):
 @pytest.mark.parametrize(
     ("place", "value", "words"),
     [
-        (("unit",), "dB", "unit is 'dB'"),
-        (("more",), 1, "unknown field 'more'"),
-        (("views",), [], "at least one image"),
-        (("views", 0, "split"), "validation", "split 'validation'"),
-        (("views", 0, "grazing_deg"), 90, "grazing angle 90"),
-        (("views", 0, "azimuth_deg"), 4000, "azimuth 4000"),
-        (("grid", "rows"), 0, "0 × 96"),
-        (("score_margin",), -1, "score_margin -1"),
+        ("unit", "dB", "unit is 'dB'"),
+        ("more", 1, "unknown field 'more'"),
+        ("views", [], "at least one image"),
+        ("views.0.split", "validation", "split 'validation'"),
+        ("views.0.grazing_deg", 90, "grazing angle 90"),
+        ("views.0.azimuth_deg", 4000, "azimuth 4000"),
+        ("grid.rows", 0, "0 × 96"),
+        ("score_margin", -1, "score_margin -1"),
     ],
 )
 def test_what_the_schema_refuses_the_reader_refuses(foreign, tmp_path, place, value, words):
     folder = shutil.copytree(foreign, tmp_path / "set")
-    header = json.loads((folder / "dataset.json").read_text())
-    inner = header
-    for key in place[:-1]:
-        inner = inner[key]
-    inner[place[-1]] = value
     with pytest.raises(jsonschema.ValidationError):
-        jsonschema.validate(header, SCHEMA)
-    (folder / "dataset.json").write_text(json.dumps(header))
+        jsonschema.validate(edit_json(folder / "dataset.json", place, value), SCHEMA)
     with pytest.raises(SarsplatError, match=words):
         read_dataset(folder)

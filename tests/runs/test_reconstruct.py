@@ -197,6 +197,9 @@ def test_a_torn_log_is_read_up_to_the_tear(finished: Run, tmp_path: Path) -> Non
     for torn in (log[3][:9], "[" * 10_000):
         (tmp_path / "metrics.jsonl").write_text("\n".join([*log[:3], torn]))
         assert copy.history == finished.history[:3]
+    (tmp_path / "metrics.jsonl").write_text(f"{log[0]}\n" * 70_000)
+    with pytest.raises(SarsplatError, match=r"metrics\.jsonl is longer than 4194304 bytes"):
+        _ = copy.history
 
 
 def test_a_given_box_is_where_a_target_is_looked_for(dataset: Dataset) -> None:

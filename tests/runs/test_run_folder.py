@@ -1,7 +1,6 @@
 """The folder of a run: results fit the checkpoint, one process writes, and it goes on only as it was begun."""
 
 import errno
-import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +12,7 @@ import torch
 
 from made import dataset_of
 from programs import elsewhere
+from refusals import edit_json
 from sarsplat import Config, Dataset, ImageGrid, Run, SarsplatError, View, preset, read_dataset, reconstruct
 from sarsplat.data import load_checkpoint, save_checkpoint, write_dataset, write_tiff
 from sarsplat.data.folders import only_writer
@@ -43,44 +43,40 @@ def stop_at(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 
 def test_results_fit_the_checkpoint(
-    dataset: Dataset, config: Config, tmp_path: Path, finished: Run, stop_at: Any, monkeypatch: pytest.MonkeyPatch
+    given: Dataset, tmp_path: Path, stop_at: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    out = tmp_path / "run"
-    stop_at(25, ValueError("stopped here"))
+    out, config = tmp_path / "run", replace(CONFIG, iterations=6, checkpoint_every=2, points=CENTRES)
+    stop_at(3, ValueError("stopped here"))
     with pytest.raises(ValueError, match="stopped here"):
-        reconstruct(dataset, config, out)
-    Run.load(out).write_results()  # as of iteration 20
+        reconstruct(given, config, out)
+    Run.load(out).write_results()  # as of iteration 2
     (out / "metrics.json").write_text("{}")
     early = Run.load(out).points
-    stop_at(45, Killed())
+    stop_at(5, Killed())
     with pytest.raises(Killed):
-        reconstruct(dataset, config, out, resume=True)
+        reconstruct(given, config, out, resume=True)
     killed = Run.load(out)
-    assert killed.iteration == 40
+    assert killed.iteration == 4
     assert sorted(path.name for path in out.iterdir()) == ["checkpoints", "config.json", "metrics.jsonl"]
     assert not np.array_equal(killed.points, early)
     fresh = killed.points
     killed.write_results()
     assert np.array_equal(Run.load(out).points, fresh)  # the file holds the same
     monkeypatch.undo()
-    assert np.array_equal(reconstruct(dataset, config, out, resume=True).points, finished.points)
+    whole = reconstruct(given, config, quiet=True)
+    assert np.array_equal(reconstruct(given, config, out, resume=True).points, whole.points)
 
 
 @pytest.mark.parametrize("error", [ValueError(), Killed()])
-def test_an_old_run_is_kept(
-    dataset: Dataset, config: Config, tmp_path: Path, finished: Run, stop_at: Any, error: BaseException
-) -> None:
-    out = tmp_path / "run"
-    shutil.copytree(finished.path, out)
-    stop_at(19, error)
-    with pytest.raises(type(error)):
-        reconstruct(dataset, replace(config, seed=1), out, overwrite=True)
-    assert Run.load(out).seed == 0
-    assert np.array_equal(Run.load(out).points, finished.points)
-    stop_at(20, error)
-    with pytest.raises(type(error)):
-        reconstruct(dataset, replace(config, seed=1), out, overwrite=True)
-    assert (Run.load(out).seed, Run.load(out).iteration) == (1, 20)
+def test_an_old_run_is_kept(given: Dataset, done: Run, tmp_path: Path, stop_at: Any, error: BaseException) -> None:
+    out, config = tmp_path / "run", replace(CONFIG, seed=1, iterations=5, checkpoint_every=2)
+    before = content(shutil.copytree(done.folder, out))
+    for iteration in (1, 2):
+        assert content(out) == before
+        stop_at(iteration, error)
+        with pytest.raises(type(error)):
+            reconstruct(given, config, out, overwrite=True)
+    assert (Run.load(out).seed, Run.load(out).iteration) == (1, 2)
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
 
@@ -102,21 +98,16 @@ def test_ctrl_c_before_the_first_checkpoint(
     assert len(Run.load(tmp_path / "new").points)  # which is extracted where it is asked for
 
 
-def test_it_is_locked_throughout(
-    dataset: Dataset, config: Config, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    out, step, refused = tmp_path / "run", Trainer.step, []
+def test_it_is_locked_throughout(given: Dataset, tmp_path: Path) -> None:
+    out, refused = tmp_path / "run", []
 
-    def probing(trainer: Trainer) -> torch.Tensor:
-        if trainer.iteration == 30:
-            with pytest.raises(SarsplatError, match="in use"), elsewhere(only_writer(out)):
-                pass
-            refused.append(out)
-        return step(trainer)
+    def probe(step: Step) -> None:
+        with pytest.raises(SarsplatError, match="in use"), elsewhere(only_writer(out)):
+            pass
+        refused.append(step.iteration)
 
-    monkeypatch.setattr(Trainer, "step", probing)
-    reconstruct(dataset, replace(config, iterations=40), out)
-    assert refused == [out]
+    reconstruct(given, CONFIG, out, on_step=probe)
+    assert refused == [1, 2]
     with only_writer(out):
         pass
 
@@ -125,8 +116,7 @@ def test_a_dataset_may_move(dataset: Dataset, config: Config, tmp_path: Path, fi
     moved, out = tmp_path / "moved", tmp_path / "run"
     shutil.copytree(dataset.path, moved)
     shutil.copytree(finished.path, out)
-    header = json.loads((out / "config.json").read_text())
-    (out / "config.json").write_text(json.dumps({**header, "dataset": str(tmp_path / "gone")}))
+    edit_json(out / "config.json", "dataset", str(tmp_path / "gone"))
     with pytest.raises(SarsplatError, match=r"no longer at .*/gone; give it with"):
         _ = Run.load(out).dataset
     again = reconstruct(read_dataset(moved), config, out, resume=True)
@@ -171,16 +161,6 @@ def test_scores_are_kept_as_they_are_and_nothing_else_is(tmp_path: Path, finishe
     assert run.metrics == scores
 
 
-def test_a_copied_checkpoint_is_none(tmp_path: Path, dataset: Dataset, config: Config, finished: Run) -> None:
-    run = Run.load(shutil.copytree(finished.path, tmp_path / "run"))
-    newest = run.store.checkpoint_path
-    shutil.copy(newest, newest.with_name("best.safetensors"))
-    assert run.store.checkpoint_path == newest
-    reconstruct(dataset, replace(config, iterations=70), run.path, resume=True, quiet=True)
-    assert Run.load(run.path).iteration == 70
-    assert newest.with_name("best.safetensors").is_file()
-
-
 # ---- names of runs whose folders are called by addresses -------------------------------------------------------------
 def header(dataset: str | None, method: str = "sar-gs", **config: Any) -> Header:
     return Header("sarsplat-run", 4, dataset, "", config, method)
@@ -220,6 +200,8 @@ def test_sections_that_some_do_not_have_are_named() -> None:
 
 # ---- another dataset, other settings or another version are refused --------------------------------------------------
 CONFIG = replace(preset("default"), iterations=2, gaussians=50, checkpoint_every=1)
+CENTRES = PointExtraction(method="centres", optical_depth=0.0, voxel=1e-6, min_height=-1e6)
+"""A point for each Gaussian."""
 
 
 def make_dataset(path: Path, azimuth: float = 0.0) -> Dataset:
@@ -271,9 +253,7 @@ def test_one_of_before_there_was_smoothing(given: Dataset, tmp_path: Path, monke
     tensors, state = load_checkpoint(newest)
     del tensors["strategy/growth/times"]
     save_checkpoint(newest, tensors, state)
-    header = json.loads((tmp_path / "run" / "config.json").read_text())
-    del header["config"]["smoothing"]
-    (tmp_path / "run" / "config.json").write_text(json.dumps(header))
+    edit_json(tmp_path / "run" / "config.json", "config.smoothing", KeyError)
     refused(tmp_path / "run", given, replace(CONFIG, coarsest=2), r"started with smoothing\.rounds 0, not 40")
     again = reconstruct(given, Run.load(tmp_path / "run").config, tmp_path / "run", resume=True)
     assert again.config == unsmoothed
@@ -313,33 +293,35 @@ def test_fewer_iterations_than_are_done(given: Dataset, done: Run) -> None:
 def test_more_iterations_extend_a_run(begun: Path, given: Dataset, steps: int) -> None:
     if steps == 2:
         reconstruct(given, CONFIG, begun, resume=True)
+    newest = Run.load(begun).store.checkpoint_path
+    copied = Path(shutil.copy(newest, newest.with_name("best.safetensors")))  # which is none
+    assert Run.load(begun).store.checkpoint_path == newest
     run = reconstruct(given, replace(CONFIG, iterations=4, checkpoint_every=3), begun, resume=True)
     assert run.iteration == 4
     assert (Run.load(begun).config.iterations, Run.load(begun).config.checkpoint_every) == (4, 3)
     assert [line.iteration for line in run.history] == [1, 2, 3, 4]
+    assert copied.is_file()
 
 
 def test_points_are_extracted_anew(given: Dataset, done: Run, tmp_path: Path) -> None:
     shutil.copytree(done.folder, tmp_path / "run")
     (tmp_path / "run" / "metrics.json").write_text("{}")
-    everything = PointExtraction(method="centres", optical_depth=0.0, voxel=1e-6, min_height=-1e6)
-    again = reconstruct(given, replace(CONFIG, points=everything), tmp_path / "run", resume=True)
+    again = reconstruct(given, replace(CONFIG, points=CENTRES), tmp_path / "run", resume=True)
     assert again.iteration == done.iteration
     assert len(Run.load(tmp_path / "run").points) == len(again.gaussians)
     assert not (tmp_path / "run" / "metrics.json").exists()  # it was of other points
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("place", "value", "message"),
     [
-        ({"schema_version": 5}, "schema_version is 5 but this program reads 4"),
-        ({"schema_version": 3}, "schema_version is 3 but .* 4; give a run of this version, or reconstruct it again"),
-        ({"config": CONFIG.as_dict() | {"warmth": 1}}, "config.json: the setting 'warmth' is unknown"),
+        ("schema_version", 5, "schema_version is 5 but this program reads 4"),
+        ("schema_version", 3, "schema_version is 3 but .* 4; give a run of this version, or reconstruct it again"),
+        ("config.warmth", 1, "config.json: the setting 'warmth' is unknown"),
     ],
 )
-def test_another_version(begun: Path, given: Dataset, change: dict[str, Any], message: str) -> None:
-    header = json.loads((begun / "config.json").read_text())
-    (begun / "config.json").write_text(json.dumps(header | change))
+def test_another_version(begun: Path, given: Dataset, place: str, value: int, message: str) -> None:
+    edit_json(begun / "config.json", place, value)
     refused(begun, given, CONFIG, message)
 
 
@@ -359,13 +341,6 @@ def test_a_checkpoint_of_bistatic_views(begun: Path) -> None:
     save_checkpoint(newest, tensors, {**state, "views": views})
     with pytest.raises(SarsplatError, match="bistatic views, which are not supported"):
         Run.load(begun).time_s  # noqa: B018
-
-
-def test_a_history_that_is_too_long(begun: Path) -> None:
-    line = {"iteration": 1, "seconds": 0.5, "loss": 0.25, "gaussians": 50}
-    (begun / "metrics.jsonl").write_text((json.dumps(line) + "\n") * 70_000)
-    with pytest.raises(SarsplatError, match=r"metrics\.jsonl is longer than 4194304 bytes"):
-        _ = Run.load(begun).history
 
 
 def test_a_run_that_is_not_there(given: Dataset, tmp_path: Path) -> None:
