@@ -39,14 +39,9 @@ from sarsplat.geometry import ImageGrid, View
 # ---- files, checkpoints, tables ----
 
 
-def touched(name: str, do: Do) -> Do:
-    """With an empty file of that name."""
-    return lambda at: (at / name).touch() or do(at)
-
-
 FILES: Refusals = [
     (lambda at: write_bytes(at / "no" / "a", b""), "does not exist"),
-    (touched("file", lambda at: write_bytes(at / "file" / "a", b"")), "is a file, not a folder"),
+    (stored(b"", lambda file: write_bytes(file / "a", b"")), "is a file, not a folder"),
     (lambda at: write_bytes(at, b""), "is a folder"),
     (stored(b'{"a": 1, "b": ' + b"[" * 100_000, lambda path: read_json(path, dict[str, str])), "got 'int'"),
 ]
@@ -76,10 +71,6 @@ def table(data: bytes, ask: Callable[[CsvTable], object] = id, *needed: str) -> 
     return stored(data, lambda path: ask(read_table(path, "the table", needed)))
 
 
-def b_of(table: CsvTable) -> float:
-    return table.number(table.rows[0], "b")
-
-
 TABLES: Refusals = [
     *((table(text), "has no rows") for text in (b"", b"a,b\n")),
     (table(b"a,a\n1,2\n"), "the column 'a' twice"),
@@ -87,7 +78,7 @@ TABLES: Refusals = [
     (table(b"\xff\xfea"), "not a readable CSV"),
     (table(b"a\n" + b"1\n" * 100_001), "more than 100000 rows"),
     (table(b"a,b\n1,2\n", id, "a", "c"), r"is missing the column 'c'; it needs a, c"),
-    (table(b'a,b\n1,"0,5"\n', b_of), r"line 2: b is '0,5'; give a number, with a decimal point unless semicolons"),
+    (table(b'a,b\n1,"0,5"\n', lambda made: made.number(made.rows[0], "b")), "line 2: b is '0,5'; give a number, with"),
     *(
         (
             table(f"file\n{path}\n".encode(), lambda made: relative_path(made.path, made.rows[0], "file", of="images")),
@@ -210,10 +201,14 @@ def linked(folder: Path, target: str) -> None:
     (folder / "images" / "000.tif").symlink_to(target)
 
 
+def beside(file: Path) -> Dataset:
+    return read_dataset(file.parent)
+
+
 FOLDERS: Refusals = [
     (lambda at: read_dataset(at / "nowhere"), "does not exist"),
-    (touched("001.tif", read_dataset), r"not a dataset, .* no dataset\.json; .* `sarsplat info .*` recommends"),
-    (touched("metrics.jsonl", read_dataset), "looks like a run"),
+    (stored(b"", beside, "001.tif"), r"not a dataset, .* no dataset\.json; .* `sarsplat info .*` recommends"),
+    (stored(b"", beside, "metrics.jsonl"), "looks like a run"),
     (stored(b"{}", read_dataset, "dataset.json"), "is a file, not a folder"),
     (altered(lambda folder: linked(folder, "../../elsewhere.tif")), "is not inside"),
     (altered(lambda folder: linked(folder, "001.tif")), "same image file"),

@@ -19,6 +19,8 @@ from sarsplat.geometry import ImageGrid, Turn
 from sarsplat.geometry.responses import Taylor
 from sarsplat.importers import import_mstar
 
+IMAGES = [SarImage(power.astype(np.float64), view, TINY) for power, (view, _) in zip(NOISE, VIEWS)]
+
 
 def make(path: Path, **fields) -> Dataset:
     return write_dataset(path, tiny_dataset(**fields))
@@ -88,8 +90,7 @@ def test_a_dataset_is_a_sequence_of_images(dataset):
 
 
 def test_a_dataset_in_memory_is_the_one_it_becomes_on_the_disk(tmp_path):
-    images = [SarImage(power.astype(np.float64), view, TINY) for power, (view, _) in zip(NOISE, VIEWS)]
-    dataset = Dataset.from_images(images[:3], test=images[3:], target="a", looks=1, source={"x": (1, 2)})
+    dataset = Dataset.from_images(IMAGES[:3], test=IMAGES[3:], target="a", looks=1, source={"x": (1, 2)})
     assert [(entry.split, entry.name) for entry in dataset.entries] == [
         *(("train", "000"), ("train", "001"), ("train", "002"), ("test", "003"))
     ]
@@ -100,9 +101,8 @@ def test_a_dataset_in_memory_is_the_one_it_becomes_on_the_disk(tmp_path):
 
 
 def test_azimuths_may_be_uncertain(tmp_path):
-    images = [SarImage(power, view, TINY) for power, (view, _) in zip(NOISE, VIEWS)]
     known, alike, each = (
-        Dataset.from_images(images[:3], test=images[3:], azimuth_std_deg=std)
+        Dataset.from_images(IMAGES[:3], test=IMAGES[3:], azimuth_std_deg=std)
         for std in (0, 2, [0, 1.5, np.float32(2), 0])
     )
     assert [entry.azimuth_std_deg for entry in alike.entries] == [2.0] * 4

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from chip_files import LOWER_LEFT, write_chips
 from made import small_dataset, small_mask
 from sarsplat.data import Dataset, DatasetEntry, read_dataset, read_masks, write_dataset
 from sarsplat.errors import SarsplatError, SarsplatWarning
@@ -76,17 +77,11 @@ def test_masks_of_chips_are_turned_as_the_chips_were(tmp_path, mirrored):
 def test_chips_and_their_masks_are_turned_alike(tmp_path):
     from sarsplat import import_mstar
 
-    dn = np.full((24, 24), 30, np.uint8)
-    dn[14:20, 3:9] = 200  # near range is below
-    rows = ["path,class,serial,desired_depression_deg,measured_depression_deg,target_az_deg"]
+    labels = write_chips(tmp_path, [("T72", "1", 17, azimuth) for azimuth in (0, 120, 240)])
     for index in range(3):
-        save(tmp_path / f"chip{index}.jpeg", dn)
-        save(tmp_path / "masks" / f"chip{index}.png", (dn > 100).astype(np.uint8))
-        rows.append(f"chip{index}.jpeg,T72,1,17,17,{index * 120}")
-    (tmp_path / "labels.csv").write_text("\n".join(rows) + "\n")
-    fields = {"labels": tmp_path / "labels.csv", "target_class": "T72", "train_views": 2}
-    dataset = import_mstar(tmp_path, tmp_path / "out", **fields)
+        save(tmp_path / "masks" / "T72" / f"chip{index:03d}.png", (LOWER_LEFT > 0).astype(np.uint8))
+    dataset = import_mstar(tmp_path, tmp_path / "out", labels=labels, target_class="T72", train_views=2)
     ((index, found),) = read_masks(tmp_path / "masks", dataset).items()
     power = dataset.power[index]
-    assert found.sum() == 36
+    assert found.sum() == 64
     assert power[found == 1].min() > 4 * power[found == 0].max()
