@@ -87,28 +87,26 @@ def test_las_holds_targets_of_any_size(run: Run, tmp_path: Path) -> None:
 
 def test_splat_holds_what_its_viewer_reads(run: Run, tmp_path: Path) -> None:
     """As antimatter15/splat reads it: six floats, four colours, four bytes of a rotation; the most important first."""
+    row = np.dtype([("mean", "<f4", 3), ("scale", "<f4", 3), ("colour", "u1", 4), ("turn", "u1", 4)])
     export(run, tmp_path / "all.splat")
-    content = (tmp_path / "all.splat").read_bytes()
-    gaussians = run.gaussians
-    assert len(content) == 32 * len(gaussians)
-    rows = np.frombuffer(content, np.uint8).reshape(-1, 32)
-    lengths = rows[:, :24].copy().view("<f4")
+    rows, gaussians = np.frombuffer((tmp_path / "all.splat").read_bytes(), row), run.gaussians
+    assert len(rows) == len(gaussians)
     means, scales = gaussians.means.numpy(), gaussians.scales.numpy()
     alpha = 1 - np.exp(-gaussians.optical_depth.double().numpy())
     order = np.argsort(-(scales.astype(float).prod(axis=1) * alpha), kind="stable")
-    np.testing.assert_array_equal(lengths[:, :3], means[order])
-    np.testing.assert_array_equal(lengths[:, 3:], scales[order])
-    np.testing.assert_allclose(rows[:, 27], 255 * alpha[order], atol=0.51)
-    turn = (rows[:, 28:].astype(float) - 128) / 128
+    np.testing.assert_array_equal(rows["mean"], means[order])
+    np.testing.assert_array_equal(rows["scale"], scales[order])
+    np.testing.assert_allclose(rows["colour"][:, 3], 255 * alpha[order], atol=0.51)
+    turn = (rows["turn"].astype(float) - 128) / 128
     expected = torch.nn.functional.normalize(gaussians.quaternions, dim=1).numpy()[order]
     np.testing.assert_allclose(turn, expected, atol=1.01 / 128)
-    assert rows[:, 24:27].std() > 5  # not all the same
-    np.testing.assert_array_equal(rows[:, 24], rows[:, 26])  # grey
+    assert rows["colour"][:, :3].std() > 5  # not all the same
+    np.testing.assert_array_equal(rows["colour"][:, 0], rows["colour"][:, 2])  # grey
     export(run, tmp_path / "height.splat", colour="height")
-    coloured = np.frombuffer((tmp_path / "height.splat").read_bytes(), np.uint8).reshape(-1, 32)
+    coloured = np.frombuffer((tmp_path / "height.splat").read_bytes(), row)["colour"]
     low, high = (means[order][:, 2].argsort()[k] for k in (0, -1))
-    assert coloured[low, 26] > coloured[low, 24]  # blue below
-    assert coloured[high, 24] > coloured[high, 26]  # yellow above
+    assert coloured[low, 2] > coloured[low, 0]  # blue below
+    assert coloured[high, 0] > coloured[high, 2]  # yellow above
 
 
 def test_errors_on_unknown_endings_list_the_valid_ones(tmp_path: Path) -> None:
