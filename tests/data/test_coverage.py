@@ -1,7 +1,5 @@
 """Views by set and grazing angle, the widest gap between them, and training views evenly spread over what there is."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

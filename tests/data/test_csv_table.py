@@ -1,7 +1,5 @@
 """Tables as spreadsheets and scripts write them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

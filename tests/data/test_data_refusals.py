@@ -1,7 +1,5 @@
 """What is refused of data, each in one sentence, writing nothing."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Datasets: what is written comes back, in memory as on the disk, and nothing wrong is believed."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """docs/reference/formats/dataset.md and dataset.schema.json beside it say what `read_dataset` reads."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import re

@@ -1,7 +1,5 @@
 """Terrain from GeoTIFFs, and in datasets."""
 
-from __future__ import annotations
-
 import sys
 import warnings
 from dataclasses import replace

@@ -141,12 +141,9 @@ def far_file(path: Path, place: list[float]) -> Gaussians:
     near = replace(near, means=near.means * torch.tensor([4.0, 2.0, 0.0]) + torch.tensor([0.0, 0.0, 1.0]))
     write_gaussians_ply(path, near)
     header, end, _ = path.read_bytes().partition(b"end_header\n")
-    names = re.findall(r"property float (\w+)\n", header.decode())
-    table = np.empty(40, [(name, "<f8" if name in "xyz" else "<f4") for name in names])
-    for name, column in columns_of(path).items():
-        table[name] = column
-    for name, offset in zip("xyz", place, strict=True):
-        table[name] += offset
+    columns = columns_of(path)
+    columns |= {name: columns[name].astype("<f8") + offset for name, offset in zip("xyz", place, strict=True)}
+    table = np.rec.fromarrays([*columns.values()])
     path.write_bytes(re.sub(rb"property float ([xyz])\n", rb"property double \1\n", header) + end + table.tobytes())
     return near
 

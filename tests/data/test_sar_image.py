@@ -1,7 +1,5 @@
 """One image in memory: what it takes, and its amplitude and decibels."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
