@@ -5,6 +5,7 @@ import os
 import signal
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -83,14 +84,17 @@ def test_devices_and_pipes_are_never_replaced(tmp_path):
 REASONS = {errno.ENOSPC: "disk is full", errno.EROFS: "read-only", errno.EACCES: "permission", errno.EIO: "check the"}
 
 
-@pytest.mark.parametrize(("number", "words"), REASONS.items())
-def test_os_errors_become_one_sentence_and_keep_the_old_file(tmp_path, monkeypatch, number, words):
-    def refuse(*_: object) -> None:
-        raise OSError(number, os.strerror(number))
-
+@pytest.mark.parametrize(
+    ("error", "raised", "words"),
+    [
+        *((OSError(number, os.strerror(number)), SarsplatError, words) for number, words in REASONS.items()),
+        (KeyboardInterrupt("stopped"), KeyboardInterrupt, "stopped"),
+    ],
+)
+def test_errors_keep_the_old_file_and_those_of_the_system_are_one_sentence(tmp_path, monkeypatch, error, raised, words):
     write_bytes(tmp_path / "a", b"old")
-    monkeypatch.setattr(os, "fsync", refuse)
-    with pytest.raises(SarsplatError, match=words):
+    monkeypatch.setattr(os, "fsync", Mock(side_effect=error))
+    with pytest.raises(raised, match=words):
         write_bytes(tmp_path / "a", b"new")
     assert (tmp_path / "a").read_bytes() == b"old"
     assert names(tmp_path) == ["a"]
