@@ -1,7 +1,5 @@
 """`examine`: check the images of a dataset against its metadata."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 
@@ -12,7 +10,7 @@ from sarsplat.data import Dataset
 from sarsplat.data.image import power_of
 from sarsplat.data.orientation import SIDES, Layout, oriented
 from sarsplat.errors import counted
-from sarsplat.examination.orientation import Orientation, on_map, orientation, turned_grid
+from sarsplat.examination.orientation import Orientation, orientation, signs_of_map, turned_grid
 from sarsplat.examination.outcome import Examination
 from sarsplat.examination.plausible import suspicious_angles, suspicious_images
 from sarsplat.examination.scaling import MUCH_CLIPPED, examine_cut_off, examine_scaling
@@ -51,19 +49,13 @@ _TABLE = ("import with", "shadow beyond", "bright edge", "layover", "neighbours 
 def examine(dataset: Dataset) -> Examination:
     """Check whether the images of a dataset contradict its metadata.
 
-    Parameters
-    ----------
-    dataset : Dataset
-        At most 120 images, evenly chosen, are examined, of stacks their first channel; all images for duplicates,
-        constant images and other units.
+    Contradictions are angles in radians; constant or duplicate images; pixels and lines that are too bright for echoes
+    or clipped; images of different scales; geocoded images; near range that is not row 0; azimuths in the opposite
+    sense, or mirrored images; incidence for grazing angles; ground in images declared to have none; values that are
+    not power; another number of looks; another resolution. Images do not determine the zero of the azimuth.
 
-    Returns
-    -------
-    Examination
-        Contradictions: angles in radians; constant or duplicate images; pixels and lines that are too bright for echoes
-        or clipped; images of different scales; geocoded images; near range that is not row 0; azimuths in the opposite
-        sense, or mirrored images; incidence for grazing angles; ground in images declared to have none; values that are
-        not power; another number of looks; another resolution. Images do not determine the zero of the azimuth.
+    At most 120 images, evenly chosen, are examined, of stacks their first channel; all images for duplicates, constant
+    images and other units.
     """
     examined = Examination()
     columns = dataset.source.get("columns")
@@ -118,10 +110,10 @@ def _upright(dataset: Dataset, examined: Examination) -> Dataset:
             estimate = look(ground=False)
     layout = Layout.of(dataset.source)
     if not estimate.by_shadow:
-        mapped = on_map(dataset.power, dataset.views, dataset.grid, estimate, ground=ground)
-        if mapped.certain:
+        signs = signs_of_map(dataset.power, dataset.views, dataset.grid, estimate, ground=ground)
+        if signs:
             examined.contradictions.append(
-                f"the images seem to be geocoded, for {mapped}; import them with geocoded='level', or "
+                f"the images seem to be geocoded, for {signs}; import them with geocoded='level', or "
                 "geocoded='terrain' with `terrain`, by what their producer took for the ground"
             )
             examined.checks["geometry"] = "see below"

@@ -5,14 +5,12 @@ in every image. Slant lengths divided by cos(grazing) are ground lengths: betwee
 the angles are right.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64, Real
+from jaxtyping import Bool, Float64, Real
 from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.ndimage import map_coordinates, uniform_filter
 
@@ -137,37 +135,31 @@ def common_half_side_m(grid: ImageGrid) -> float:
 
 def neighbours(views: Sequence[View]) -> list[tuple[int, int]]:
     """Pair each view with its most suitable clockwise neighbour; at most `_MAX_PAIRS`, evenly chosen."""
-    azimuths, grazings = _angles(views)
-    pairs = []
-    for k in range(len(views)):
-        step_deg = (azimuths - azimuths[k]) % 360
-        suitable = (step_deg > _AZIMUTH_STEP_DEG[0]) & (step_deg <= _AZIMUTH_STEP_DEG[1])
-        suitable &= np.abs(grazings - grazings[k]) <= _SAME_GRAZING_DEG
-        if suitable.any():
-            pairs.append((k, int(np.where(suitable, np.abs(step_deg - _PREFERRED_STEP_DEG), np.inf).argmin())))
-    return _evenly(pairs)
+    azimuths_deg, steeper_deg = _differences_deg(views)
+    clockwise_deg = azimuths_deg % 360
+    suitable = (clockwise_deg > _AZIMUTH_STEP_DEG[0]) & (clockwise_deg <= _AZIMUTH_STEP_DEG[1])
+    suitable &= np.abs(steeper_deg) <= _SAME_GRAZING_DEG
+    return _pairs(suitable, np.abs(clockwise_deg - _PREFERRED_STEP_DEG))
 
 
 def steeper_neighbours(views: Sequence[View]) -> list[tuple[int, int]]:
     """Pair each view with the nearest steeper view of about the same azimuth; at most `_MAX_PAIRS`, evenly chosen."""
-    azimuths, grazings = _angles(views)
-    pairs = []
-    for k in range(len(views)):
-        step_deg = np.abs((azimuths - azimuths[k] + 180) % 360 - 180)
-        steeper = grazings - grazings[k]
-        suitable = (
-            (step_deg <= _PREFERRED_STEP_DEG) & (steeper > _OTHER_GRAZING_DEG[0]) & (steeper <= _OTHER_GRAZING_DEG[1])
-        )
-        if suitable.any():
-            pairs.append((k, int(np.where(suitable, step_deg + steeper, np.inf).argmin())))
-    return _evenly(pairs)
+    azimuths_deg, steeper_deg = _differences_deg(views)
+    step_deg = np.abs((azimuths_deg + 180) % 360 - 180)
+    suitable = (step_deg <= _PREFERRED_STEP_DEG) & (steeper_deg > _OTHER_GRAZING_DEG[0])
+    return _pairs(suitable & (steeper_deg <= _OTHER_GRAZING_DEG[1]), step_deg + steeper_deg)
 
 
-def _angles(views: Sequence[View]) -> tuple[Float64[np.ndarray, " v"], Float64[np.ndarray, " v"]]:
-    return np.array([view.azimuth_deg for view in views]) % 360, np.array([view.grazing_deg for view in views])
+def _differences_deg(views: Sequence[View]) -> Float64[np.ndarray, "2 v v"]:
+    """Return by how much the azimuth of each view (column) exceeds that of every view (row), and its grazing angle."""
+    azimuths, grazings = np.array([(view.azimuth_deg % 360, view.grazing_deg) for view in views]).T
+    return np.stack([azimuths - azimuths[:, None], grazings - grazings[:, None]])
 
 
-def _evenly(pairs: list[tuple[int, int]]) -> list[tuple[int, int]]:
+def _pairs(suitable: Bool[np.ndarray, "v v"], cost: Float64[np.ndarray, "v v"]) -> list[tuple[int, int]]:
+    """Pair each view (row) with its cheapest suitable one, if any; at most `_MAX_PAIRS`, evenly chosen."""
+    cheapest = np.where(suitable, cost, np.inf).argmin(axis=1).tolist()
+    pairs = [(k, other) for k, other in enumerate(cheapest) if suitable[k, other]]
     count = min(len(pairs), _MAX_PAIRS)
     return [pairs[k * len(pairs) // count] for k in range(count)]
 

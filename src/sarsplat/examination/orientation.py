@@ -8,8 +8,6 @@ the radar turn; in azimuth and range it is the reverse. The place of the scene a
 symmetric target keeps it in azimuth and range, too.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -209,63 +207,19 @@ def _skewness(profiles: Float64[np.ndarray, "v n"]) -> Float64[np.ndarray, " v"]
     return (share * offset**3).sum(axis=1) / spread**1.5
 
 
-@dataclass(frozen=True)
-class OnMap:
-    """Evidence that images are geocoded; `turned_…` is evidence after rotating each image by its azimuth."""
-
-    stays: Evidence
-    """Correlation of neighbouring images without rotation, less that with the better sense of rotation."""
-    shadow: SideEvidence
-    turned_shadow: SideEvidence
-    edge: SideEvidence
-    turned_edge: SideEvidence
-
-    @property
-    def certain(self) -> bool:
-        """True if only turned images have a shadow side; or the scene keeps its place, and turning makes the shadow, or
-        without ground the bright edge, clearer.
-        """
-        if self.shadow.side(_MIN_SHADOW_DB) is not None:
-            return False
-        if self.turned_shadow.side(_MIN_SHADOW_DB) is not None and self.shadow_gain > _MIN_SHADOW_DB:
-            return True
-        return self.stays.supports(_MIN_SENSE) and (
-            self.shadow_gain > _MIN_SHADOW_DB
-            if self.shadow.count
-            else self.turned_edge.side(_MIN_EDGE) is not None and self.edge.side(_MIN_EDGE) is None
-        )
-
-    @property
-    def shadow_gain(self) -> float:
-        """Increase by turning of the darkness behind bright pixels, dB; 0 if there are too few images."""
-        return float(self.turned_shadow.mean.max() - self.shadow.mean.max())
-
-    def __str__(self) -> str:
-        """Signs of a map, for messages."""
-        signs = []
-        if self.stays.supports(_MIN_SENSE):
-            signs.append(
-                f"images of neighbouring azimuths match better as they are than turned (correlation higher by "
-                f"{self.stays.mean:.2f})"
-            )
-        if self.shadow.count and self.shadow_gain > _MIN_SHADOW_DB:
-            signs.append(
-                f"shadows turn with the azimuths ({self.shadow_gain:.1f} dB darker on one side after turning back)"
-            )
-        elif self.turned_edge.side(_MIN_EDGE) is not None:
-            signs.append("the target's bright edge turns with the azimuths")
-        return ", and ".join(signs)
-
-
-def on_map(
+def signs_of_map(
     power: Real[np.ndarray, "v rows columns"],
     views: Sequence[View],
     grid: ImageGrid,
     estimate: Orientation,
     *,
     ground: bool,
-) -> OnMap:
-    """Collect evidence that images (β⁰, linear power) are geocoded, given their orientation."""
+) -> str:
+    """Describe the signs that images (β⁰, linear power) without a shadow side are geocoded; empty if they seem not.
+
+    Either only images that are turned by their azimuths have a shadow side; or the scene keeps its place, and turning
+    makes the shadow, or without ground the bright edge, clearer.
+    """
     levels = levels_db(power, grid, ground)
     senses = []
     for sense in (1, -1):
@@ -273,7 +227,21 @@ def on_map(
         edge = edge_sides(turned, [outline(level) for level in turned])
         senses.append((shadow_sides(turned if ground else turned[:0], views), edge))
     shadow, edge = max(senses, key=lambda sides: max(sides[not ground].mean))
-    return OnMap(estimate.stays, estimate.shadow, shadow, estimate.edge, edge)
+    gain_db = float(shadow.mean.max() - estimate.shadow.mean.max())  # 0 if there are too few images
+    clearer, has_edge = gain_db > _MIN_SHADOW_DB, edge.side(_MIN_EDGE) is not None
+    stays = estimate.stays.supports(_MIN_SENSE)
+    turns = clearer if estimate.shadow.count else has_edge and estimate.edge.side(_MIN_EDGE) is None
+    if not (stays and turns) and not (clearer and shadow.side(_MIN_SHADOW_DB) is not None):
+        return ""
+    signs = []
+    if stays:
+        higher = f"correlation higher by {estimate.stays.mean:.2f}"
+        signs.append(f"images of neighbouring azimuths match better as they are than turned ({higher})")
+    if estimate.shadow.count and clearer:
+        signs.append(f"shadows turn with the azimuths ({gain_db:.1f} dB darker on one side after turning back)")
+    elif has_edge:
+        signs.append("the target's bright edge turns with the azimuths")
+    return ", and ".join(signs)
 
 
 def _rotated(levels: Float64[np.ndarray, "v rows columns"], views: Sequence[View]) -> Float64[np.ndarray, "v m m"]:

@@ -1,7 +1,5 @@
 """Result of an examination: contradictions, checks, and a table of orientations."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 

@@ -9,8 +9,6 @@ by the area that they see of it: otherwise two views from opposite sides would c
 surface but the roof is in both.
 """
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Iterable, Sequence
@@ -340,20 +338,17 @@ def weak_directions(views: Sequence[View]) -> list[str]:
     weakest = weakest_direction(views)
     if not weakest.uncertain:
         return []
-    aloft = views[0].aloft
-    lifted = (
-        {}
-        if aloft
-        else {grazing: [*views, *(replace(view, grazing_deg=grazing) for view in views)] for grazing in _GRAZINGS_DEG}
-    )
-    best = 0.0 if aloft else min(_GRAZINGS_DEG, key=lambda grazing: weakest_direction(lifted[grazing]).conditioning)
     where = f"along directions {weakest.above_horizon_deg:.0f}° above the horizon"
     if weakest.undetermined:
         verdict = f"do not determine positions {where}, and so not the shape"
     else:
         less = f"{weakest.conditioning:.1f} times less well {where} than within an image"
         verdict = f"determine positions {less}, so the shape is uncertain"
-    add = "frames of a rotation about another axis" if aloft else f"views at other grazing angles, such as {best:g}°"
+    add = "frames of a rotation about another axis"
+    if not views[0].aloft:
+        added = {angle: [replace(view, grazing_deg=angle) for view in views] for angle in _GRAZINGS_DEG}
+        best = min(added, key=lambda angle: weakest_direction([*views, *added[angle]]).conditioning)
+        add = f"views at other grazing angles, such as {best:g}°"
     return [f"the {len(views)} training views {verdict}; add {add}"]
 
 

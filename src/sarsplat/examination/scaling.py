@@ -1,7 +1,5 @@
 """Checks of scale: pixels clipped at the largest value, images stretched one by one, single images of another scale."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Tests of significance over many images: a difference counts if it is large and unlikely by chance."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

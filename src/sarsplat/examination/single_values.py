@@ -117,11 +117,9 @@ def _peaks(image: Real[np.ndarray, "rows columns"], index: int, bright: float, l
     """Find the bright pixels of an image that exceed all of their neighbours by more than the limit."""
     rows, columns = np.nonzero(image >= bright)
     padded = np.pad(image, 1)
-    beside = np.full(len(rows), _typical_power(image))
-    for down in (-1, 0, 1):
-        for right in (-1, 0, 1):
-            if (down, right) != (0, 0):
-                beside = np.maximum(beside, padded[rows + 1 + down, columns + 1 + right])
+    down, right = np.transpose([(i, j) for i in range(3) for j in range(3) if (i, j) != (1, 1)])
+    neighbours = padded[rows[:, None] + down, columns[:, None] + right].astype(np.float64)
+    beside = neighbours.max(axis=1, initial=_typical_power(image))
     leads = to_db(image[rows, columns], beside)
     return [
         _Peak(index, int(row), int(column), float(lead))

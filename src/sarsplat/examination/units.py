@@ -1,7 +1,5 @@
 """Checks of unit, looks and resolution by the statistics of clutter and by sharpness."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
