@@ -2,6 +2,8 @@
 
 import math
 from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,17 +19,10 @@ NONE: list[object] = [
 ]
 
 
-@pytest.mark.parametrize(
-    "made",
-    [
-        TURN.seen_from,
-        View.towards,
-        lambda one: View.isar(one, (0, 0, 1)),
-        lambda one: View.isar((1, 0, 0), one),
-        lambda one: Turn(one, 1.0),
-        Place.of_ecef,
-    ],
-)
+DIRECTED = [TURN.seen_from, View.towards, lambda one: View.isar(one, (0, 0, 1)), lambda one: View.isar((1, 0, 0), one)]
+
+
+@pytest.mark.parametrize("made", [*DIRECTED, lambda one: Turn(one, 1.0), Place.of_ecef])
 @pytest.mark.parametrize("none", NONE, ids=str)
 def test_what_is_no_direction_is_refused(made: Callable[[object], object], none: object) -> None:
     with pytest.raises(SarsplatError, match=r"has no direction; give three|give a num|make each a"):
@@ -69,26 +64,14 @@ def test_true_and_false_are_no_numbers(made: Callable[[], object]) -> None:
         made()
 
 
-def grid(words: str, **wrong: object) -> tuple[Do, str]:
-    usual = {"rows": 4, "columns": 4, "spacing_m": (0.2, 0.2), "resolution_m": (0.3, 0.3)}
-    return lambda _: ImageGrid(**{**usual, **wrong}), words  # type: ignore[arg-type]
+def wrong(kind: Callable[..., object], usual: dict[str, object], words: str, *values: object, **fields: object) -> Any:
+    return lambda _: kind(*values, **{**usual, **fields}), words
 
 
-def stack(words: str, **wrong: object) -> tuple[Do, str]:
-    return lambda _: Stack(**{"wavelength_m": 0.03, "offsets_rad": (0.0, 0.001), **wrong}), words  # type: ignore[arg-type]
-
-
-def turn(words: str, **wrong: object) -> tuple[Do, str]:
-    return lambda _: Turn(**{"axis": (0.2, -0.4, 1.5), "angle_deg": 10.0, **wrong}), words  # type: ignore[arg-type]
-
-
-def place(words: str, *numbers: object) -> tuple[Do, str]:
-    return lambda _: Place(*numbers), words  # type: ignore[arg-type]
-
-
-def view(words: str, *angles: object, **more: object) -> tuple[Do, str]:
-    return lambda _: View(*angles, **more), words  # type: ignore[arg-type]
-
+grid = partial(wrong, ImageGrid, {"rows": 4, "columns": 4, "spacing_m": (0.2, 0.2), "resolution_m": (0.3, 0.3)})
+stack = partial(wrong, Stack, {"wavelength_m": 0.03, "offsets_rad": (0.0, 0.001)})
+turn = partial(wrong, Turn, {"axis": (0.2, -0.4, 1.5), "angle_deg": 10.0})
+place, view = partial(wrong, Place, {}), partial(wrong, View, {})
 
 REFUSED: Refusals = [
     grid(r"pixel spacing \('0.2', 0.2\) must be a pair of metres", spacing_m=("0.2", 0.2)),
