@@ -14,6 +14,7 @@ from sarsplat.geometry.responses import TAYLOR, Sampled
 from sarsplat.scenes import paper_grid, raycast, simulate_raycast, target_mesh
 from sarsplat.scenes._patches import Patches
 from sarsplat.scenes._rays import tracer
+from sarsplat.scenes._shapes import box
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("embreex")
@@ -21,10 +22,6 @@ pytest.importorskip("embreex")
 CONSTANT = ScatteringLaw(floor=1.0, lobe=0.0)  # γ⁰ = 1 at every incidence
 GRID = ImageGrid(64, 64, (0.3, 0.3), (0.3, 0.3))
 BELOW = pytest.mark.filterwarnings("ignore:.*of the target's surface is below the ground")
-
-
-def box(x, y, z):
-    return trimesh.creation.box(bounds=np.array([x, y, z], dtype=float).T)
 
 
 @pytest.fixture(scope="module")
@@ -96,18 +93,13 @@ def test_what_lies_below_the_ground_is_not_seen():
     assert simulate_raycast(buried, View(0, 45), GRID, CONSTANT).max() > 0.5  # and without ground it is
 
 
-def test_facets_scatter_from_both_sides():
-    plate = trimesh.Trimesh([[-3, -3, 0], [3, -3, 0], [3, 3, 0], [-3, 3, 0]], [[0, 1, 2], [0, 2, 3]], process=False)
-    inverted = trimesh.Trimesh(plate.vertices, plate.faces[:, ::-1], process=False)
-    images = [simulate_raycast(mesh, View(10, 50), GRID, ScatteringLaw(0.1, 0.9)) for mesh in (plate, inverted)]
-    np.testing.assert_allclose(images[0], images[1], rtol=1e-6)
-
-
-def test_near_surfaces_hide_far_ones():
-    front = box((-0.1, 0), (-3, 3), (-3, 3))
+def test_near_surfaces_hide_far_ones_and_facets_scatter_from_both_sides():
+    law, front = ScatteringLaw(0.1, 0.9), box((-0.1, 0), (-3, 3), (-3, 3))
+    inverted = trimesh.Trimesh(front.vertices, front.faces[:, ::-1], process=False)
     both = trimesh.util.concatenate([front, box((-2, -1), (-1, 1), (-1, 1))])  # seen almost along the horizon
-    images = [simulate_raycast(mesh, View(0, 5), GRID, CONSTANT) for mesh in (front, both)]
-    np.testing.assert_allclose(images[0], images[1], rtol=2e-3, atol=1e-6)  # hidden edges make rays denser
+    usual, again, hiding = (simulate_raycast(mesh, View(0, 5), GRID, law) for mesh in (front, inverted, both))
+    np.testing.assert_allclose(again, usual, rtol=1e-6)
+    np.testing.assert_allclose(hiding, usual, rtol=2e-3, atol=1e-6)  # hidden edges make rays denser
 
 
 def test_turning_the_target_against_the_view_changes_nothing(t72):
@@ -225,11 +217,7 @@ HILLY = ImageGrid(48, 48, (0.3, 0.3), (0.45, 0.45))
 LAW = ScatteringLaw(0.5, 0.0)
 
 
-def cube(z: float, side: float = 1.0, x: float = 0.0) -> trimesh.Trimesh:
-    return trimesh.creation.box((side, side, side)).apply_translation((x, 0.0, z))
-
-
-BURIED = cube(-50.0)
+BURIED = box((-0.5, 0.5), (-0.5, 0.5), (-50.5, -49.5))
 
 
 def cast(mesh: trimesh.Trimesh, view: View, ground: Terrain, law: ScatteringLaw = LAW, **settings: float) -> np.ndarray:
@@ -238,11 +226,16 @@ def cast(mesh: trimesh.Trimesh, view: View, ground: Terrain, law: ScatteringLaw 
 
 
 @BELOW
-@pytest.mark.parametrize(("grazing", "tilt"), [(40.0, 15.0), (40.0, -15.0), (20.0, 0.0)])
-def test_a_slope_is_as_bright_as_its_own_angle_makes_it(grazing, tilt):
-    image = cast(BURIED, View(0.0, grazing), slope(tilt))
-    expected = 0.2 * math.tan(math.radians(grazing + tilt))
-    assert image[12:-12, 12:-12] == pytest.approx(np.full((24, 24), expected), rel=2e-3)
+@pytest.mark.parametrize(
+    ("azimuth", "grazing", "ground", "angle"),
+    [
+        *((0.0, grazing, slope(tilt), grazing + tilt) for grazing, tilt in ((40.0, 15.0), (40.0, -15.0), (20.0, 0.0))),
+        (70.0, 45.0, Terrain(np.zeros((2, 2)), (1.0, 1.0)), 45.0),  # level beyond its end
+    ],
+)
+def test_a_slope_is_as_bright_as_its_own_angle_makes_it(azimuth, grazing, ground, angle):
+    image = cast(BURIED, View(azimuth, grazing), ground)[12:-12, 12:-12]
+    assert image == pytest.approx(np.full((24, 24), 0.2 * math.tan(math.radians(angle))), rel=2e-3)
 
 
 @BELOW
@@ -251,9 +244,8 @@ def test_a_hill_looks_as_the_renderer_shows_it(view):
     """Of which the squares of terrain are curved, and here two triangles each."""
     ground = hill(2.0)
     rays = cast(BURIED, view, ground, ray_spacing=0.08)
-    rendered = (
-        render(upright([]), [view], HILLY, ground=Ground(torch.tensor(0.2), height_m=ground)).images[0, 0].numpy()
-    )
+    shown = render(upright([]), [view], HILLY, ground=Ground(torch.tensor(0.2), height_m=ground))
+    rendered = shown.images[0, 0].numpy()
     level = 0.2 * math.tan(math.radians(view.grazing_deg))
     assert rendered.max() > 1.5 * level  # its front, and in one of them its shadow
     assert rendered.min() < 0.5 * level
@@ -265,15 +257,11 @@ def test_a_hill_looks_as_the_renderer_shows_it(view):
 @BELOW
 def test_hills_hide_targets_and_targets_hills():
     view, ground = View(0.0, 20.0), hill(2.5, at=(3.0, 0.0), width_m=1.4)
-    shade, lit = (cast(one, view, ground, ground_gamma0=0.0) for one in (cube(0.6), cube(0.6, x=6.3)))
+    behind, before = (box((x - 0.5, x + 0.5), (-0.5, 0.5), (0.1, 1.1)) for x in (0.0, 6.3))
+    shade, lit = (cast(cube, view, ground, ground_gamma0=0.0) for cube in (behind, before))
     assert shade.max() == 0.0
     assert lit.max() > 0.1
-    bare, behind = (cast(one, view, ground, ScatteringLaw(0.0, 0.0)) for one in (BURIED, cube(1.5, 2.0, x=6.3)))
-    assert behind.sum() < bare.sum() - 1.0
-    assert (behind <= bare + 1e-4).all()
-
-
-@BELOW
-def test_level_beyond_its_end():
-    image = cast(BURIED, View(70.0, 45.0), Terrain(np.zeros((2, 2)), (1.0, 1.0)))
-    assert image == pytest.approx(np.full(image.shape, 0.2), rel=2e-3)
+    large = box((5.3, 7.3), (-1, 1), (0.5, 2.5))
+    bare, hidden = (cast(cube, view, ground, ScatteringLaw(0.0, 0.0)) for cube in (BURIED, large))
+    assert hidden.sum() < bare.sum() - 1.0
+    assert (hidden <= bare + 1e-4).all()

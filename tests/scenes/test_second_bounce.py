@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from sarsplat import ImageGrid, ScatteringLaw, View, simulate_raycast
+from sarsplat.scenes._shapes import box
 from sarsplat.scenes.raycast import RayCaster
 from sarsplat.scenes.simulate import simulate_images, simulation_record
 
@@ -16,10 +17,6 @@ pytest.importorskip("embreex")
 CONSTANT, LOBED = ScatteringLaw(1.0, 0.0), ScatteringLaw(0.1, 0.9, 8.0)
 GRID = ImageGrid(64, 64, (0.15, 0.15), (0.3, 0.3))  # at resolution = spacing the pixel lattice would ripple
 PIXEL = 0.15**2
-
-
-def box(x, y, z):
-    return trimesh.creation.box(bounds=np.array([x, y, z], dtype=float).T)
 
 
 def second(mesh, view, law=LOBED, grid=GRID, reflectivity=None, **settings):
@@ -81,11 +78,9 @@ def test_both_sides_of_a_plate_do_not_return_together():
 
 @pytest.mark.filterwarnings("ignore:.*of the target's surface is below the ground")
 def test_what_lies_below_the_ground_returns_nothing():
-    buried = box((-1, 0), (-2, 2), (-2, 1.0))
-    standing = box((-1, 0), (-2, 2), (0, 1.0))
-    np.testing.assert_allclose(
-        second(buried, View(20, 40), reflectivity=1.0), second(standing, View(20, 40), reflectivity=1.0), atol=1e-2
-    )
+    boxes = (box((-1, 0), (-2, 2), (low, 1.0)) for low in (-2, 0))
+    buried, standing = (second(mesh, View(20, 40), reflectivity=1.0) for mesh in boxes)
+    np.testing.assert_allclose(buried, standing, atol=1e-2)
 
 
 # ---- between facets --------------------------------------------------------------------------------------------------
@@ -156,10 +151,8 @@ def test_the_renderer_has_the_same_return_by_the_ground():
 
 
 def test_progress_reaches_the_end_and_never_goes_back():
-    told = []
-    settings = {"reflectivity": None, "ground_gamma0": 0.1, "ray_spacing": 0.02}
-    caster = RayCaster(_plates(), GRID, LOBED, **settings, bounces=2, ground_reflectivity=1.0)
-    caster.image(View(10, 40), told.append)
+    told, settings = [], {"reflectivity": None, "ground_gamma0": 0.1, "ray_spacing": 0.02}
+    RayCaster(_plates(), GRID, LOBED, **settings, bounces=2, ground_reflectivity=1.0).image(View(10, 40), told.append)
     assert told == sorted(told)
     assert told[-1] == pytest.approx(1.0)
 
