@@ -6,19 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sarsplat import (
-    ImageGrid,
-    SarsplatError,
-    SarsplatWarning,
-    ScatteringLaw,
-    Stack,
-    Terrain,
-    View,
-    mstar_grid,
-    simulate_images,
-)
+from sarsplat import ImageGrid, SarsplatError, SarsplatWarning, ScatteringLaw, Stack, Terrain, View, simulate_images
 from sarsplat.scenes import (
     VEHICLES,
+    mstar_grid,
     mstar_views,
     paper_grid,
     paper_views,
@@ -52,22 +43,18 @@ def bodies(meshes):
 
 
 @pytest.mark.parametrize("name", VEHICLES)
-def test_overall_dimensions_and_centre(meshes, name):
-    low, high = meshes[name].bounds
+def test_bodies_are_closed_and_face_outwards_with_overall_dimensions_around_the_centre(meshes, bodies, name):
+    mesh, parts = meshes[name], bodies[name]
+    assert mesh.is_watertight and mesh.is_winding_consistent
+    assert len(parts) > 40
+    assert min(body.volume for body in parts) > 0
+    low, high = mesh.bounds
     assert low[2] == pytest.approx(0.0, abs=1e-9)
     assert high - low == pytest.approx(DIMENSIONS[name], abs=0.02)
     if name == "t72":  # without the gun and the drums, which stand out
-        below = meshes[name].vertices[meshes[name].vertices[:, 2] < 1.3]
+        below = mesh.vertices[mesh.vertices[:, 2] < 1.3]
         low, high = below.min(axis=0), below.max(axis=0)
     assert (low + high)[:2] / 2 == pytest.approx((0, 0), abs=0.03)
-
-
-@pytest.mark.parametrize("name", VEHICLES)
-def test_bodies_are_closed_and_face_outwards(meshes, bodies, name):
-    assert meshes[name].is_watertight
-    assert meshes[name].is_winding_consistent
-    assert len(bodies[name]) > 40
-    assert min(body.volume for body in bodies[name]) > 0
 
 
 @pytest.mark.parametrize("name", VEHICLES)
@@ -82,13 +69,6 @@ def test_stands_only_on_its_running_gear_which_is_the_same_on_both_sides(bodies,
     assert np.sort(left[:, 1]) == pytest.approx(np.sort(-right[:, 1]))
 
 
-def axles(bodies, height, radius):
-    """Sorted x of the wheels of this radius with axles at this height, on the left side."""
-    boxes = [(*body.bounds.mean(axis=0), np.ptp(body.bounds[:, 0])) for body in bodies]
-    size = pytest.approx((height, 2 * radius))
-    return sorted(x for x, y, z, length in boxes if (z, length) == size and y > 0)
-
-
 @pytest.mark.parametrize(
     ("name", "height", "radius", "gaps"),
     [
@@ -98,7 +78,11 @@ def axles(bodies, height, radius):
     ],
 )
 def test_wheels_have_the_gaps_of_the_original(bodies, name, height, radius, gaps):
-    assert np.diff(axles(bodies[name], height, radius)) == pytest.approx(gaps, abs=0.01)
+    """Along x, on the left side: wheels are the bodies of this diameter with axles at this height."""
+    boxes = [(*body.bounds.mean(axis=0), np.ptp(body.bounds[:, 0])) for body in bodies[name]]
+    size = pytest.approx((height, 2 * radius))
+    axles = sorted(x for x, y, z, length in boxes if (z, length) == size and y > 0)
+    assert np.diff(axles) == pytest.approx(gaps, abs=0.01)
 
 
 # ---- SLICY -----------------------------------------------------------------------------------------------------------
@@ -165,17 +149,13 @@ def test_a_mesh_outside_of_all_images_is_refused_and_can_be_brought_back(place):
     assert outside_images(back, VIEWS, GRID) == []
 
 
-def test_a_mesh_outside_of_some_images_is_said():
+def test_a_mesh_outside_of_some_images_or_cut_off_though_it_would_fit_is_said():
     """Below the radar's azimuth it is shifted out of the image, in range it may be shown."""
-    away = box(GRID.columns * GRID.spacing_m[0] / 2 + 3.5)
-    shown = shown_in(away, VIEWS, GRID)
+    edge = GRID.columns * GRID.spacing_m[0] / 2
+    shown = shown_in(box(edge + 3.5), VIEWS, GRID)
     assert any(shown) and not all(shown)
-    (said,) = outside_images(away, VIEWS, GRID)
+    (said,) = outside_images(box(edge + 3.5), VIEWS, GRID)
     assert f"{shown.count(False)} images of 8 cannot show it" in said
-
-
-def test_a_mesh_that_is_cut_off_though_it_would_fit_is_said():
-    edge = min(GRID.columns * GRID.spacing_m[0], GRID.rows * GRID.spacing_m[1]) / 2
     (said,) = outside_images(box(edge), VIEWS, GRID)
     assert "% of the target's surface is outside of an image, though it would fit" in said
     assert outside_images(box(edge / 2), VIEWS, GRID) == []
@@ -198,17 +178,14 @@ def test_what_is_below_the_ground_is_said_with_how_much(z, share):
     assert f"up to {1 - z:.3g} m" in said and "y is up" not in said
 
 
-def test_wheels_may_sink_in_and_houses_have_foundations():
+def test_wheels_may_sink_in_houses_have_foundations_and_a_mesh_may_lie_on_its_side():
+    lying = trimesh.creation.box((6, 2, 3)).apply_translation((0, 1, 0))
+    (said,) = below_ground(lying, GRID, None)
+    assert "50% of the target" in said and "if y is up in the file, export it with z up" in said
     assert below_ground(box(z=1 - 0.4 * max(GRID.resolution_m)), GRID, None) == []
     slope = Terrain(np.array([[0.0, 0.0], [0.0, 0.0]]) + np.array([[-0.4, 0.4]]), (6.0, 6.0))
     assert below_ground(box(), GRID, slope) == []
     assert "100% of the target" in below_ground(box(z=-5), GRID, slope)[0]
-
-
-def test_a_mesh_that_lies_on_its_side_is_told_from_one_that_is_too_low():
-    lying = trimesh.creation.box((6, 2, 3)).apply_translation((0, 1, 0))
-    (said,) = below_ground(lying, GRID, None)
-    assert "50% of the target" in said and "if y is up in the file, export it with z up" in said
 
 
 @pytest.mark.parametrize("simulated", ["raycast", "splat", "stack", "one"])
@@ -241,8 +218,5 @@ def test_python_warns_of_what_is_below_the_ground_as_the_command_line_does(simul
 def test_azimuths_of_a_protocol_are_trained_on_or_tested(views):
     train = {view.azimuth_deg for view, split in views if split == "train"}
     assert not train & {view.azimuth_deg for view, split in views if split != "train"}
-
-
-def test_grids():
     assert paper_grid() == ImageGrid(128, 128, (0.3, 0.3), (0.3, 0.3))
     assert mstar_grid() == ImageGrid(128, 128, (0.203125, 0.202148), (0.3229, 0.3013))
