@@ -138,16 +138,26 @@ def test_second_bounces_are_the_same_bits_for_any_number_of_threads(threads):
     np.testing.assert_array_equal(*found)
 
 
-def test_the_renderer_has_the_same_return_by_the_ground():
-    mesh, views = box((-2, 2), (-1, 1), (0, 1.5)), [View(127.0, 17.0)]
-    known = {"law": LOBED, "ground_gamma0": 0.0}
-    rays, splats = (
-        simulate_images(mesh, views, GRID, source=source, **known, bounces=2, ground_reflectivity=1.0)
-        - simulate_images(mesh, views, GRID, source=source, **known)
-        for source in ("raycast", "splat")
-    )
-    assert splats.sum() == pytest.approx(rays.sum(), rel=0.05)
-    assert np.corrcoef(rays.ravel(), splats.ravel())[0, 1] > 0.995
+def test_power_is_told_by_the_way_it_returned_and_the_renderer_has_the_same_by_the_ground():
+    mesh, views = box((-2, 2), (-1, 1), (0, 1.5)), [View(127.0, 17.0), View(20, 30)]
+    known = {"law": LOBED, "ground_gamma0": 0.1}
+    added, shares = [], []
+    for source in ("raycast", "splat"):
+        told: dict[str, float] = {}
+        settings = {"source": source, "bounces": 2, "ground_reflectivity": 1.0, "power_by_echo": told}
+        both = simulate_images(mesh, views, GRID, **known, **settings)
+        added.append(both - simulate_images(mesh, views, GRID, **known, source=source))
+        assert sum(told.values()) == pytest.approx(1)
+        assert told["by way of the ground"] == pytest.approx(added[-1].sum() / both.sum(), rel=1e-3)
+        shares.append(told)
+    assert added[1].sum() == pytest.approx(added[0].sum(), rel=0.05)
+    assert np.corrcoef(added[0].ravel(), added[1].ravel())[0, 1] > 0.995
+    assert [*shares[0]] == ["target", "ground", "by way of the ground", "between facets"]
+    assert [*shares[1]] == ["target", "ground", "by way of the ground"]
+    assert shares[1] == pytest.approx({kind: shares[0][kind] for kind in shares[1]}, rel=0.05)
+    nothing: dict[str, float] = {}
+    simulate_images(mesh, views[:1], GRID, **known, power_by_echo=nothing)
+    assert not nothing
 
 
 def test_progress_reaches_the_end_and_never_goes_back():
@@ -166,22 +176,3 @@ def test_the_record_is_json_and_says_the_law_and_second_bounces(source):
     assert json.loads(json.dumps(record)) == record
     assert ScatteringLaw(**record["law"]) == LOBED
     assert (record["kind"], record["seed"], record["bounces"], record["ground_reflectivity"]) == (source, 3, 2, 0.5)
-
-
-def test_power_is_told_by_the_way_it_returned():
-    mesh, views = box((-1, 0), (-2, 2), (0, 1.0)), [View(0, 45), View(20, 30)]
-    shares: dict[str, float] = {}
-    known = {"law": CONSTANT, "ground_gamma0": 0.1}
-    second = {**known, "bounces": 2, "ground_reflectivity": 1.0}
-    both = simulate_images(mesh, views, GRID, **second, power_by_echo=shares)
-    direct = simulate_images(mesh, views, GRID, **known)
-    assert list(shares) == ["target", "ground", "by way of the ground", "between facets"]
-    assert sum(shares.values()) == pytest.approx(1)
-    assert shares["by way of the ground"] == pytest.approx(1 - direct.sum() / both.sum(), rel=1e-3)
-    splats: dict[str, float] = {}
-    simulate_images(mesh, views, GRID, source="splat", **second, power_by_echo=splats)
-    assert splats == pytest.approx({kind: shares[kind] for kind in splats}, rel=0.05)
-    assert list(splats) == ["target", "ground", "by way of the ground"]
-    nothing: dict[str, float] = {}
-    simulate_images(mesh, views[:1], GRID, **known, power_by_echo=nothing)
-    assert not nothing
