@@ -119,8 +119,8 @@ SIMULATIONS: Refusals = [
         (simulation(bounces=bounces, ground_gamma0=gamma0, ground_reflectivity=mirror, **more), words)
         for bounces, gamma0, mirror, more, words in (
             (3, None, None, {}, "bounces. is 3"),
-            (1, 0.1, 0.5, {}, "only second bounces on ground"),
-            (2, None, 0.5, {}, "only second bounces on ground"),
+            (1, 0.1, 0.5, {}, "ground_reflectivity. is 0.5; give .* and only then"),
+            (2, None, 0.5, {}, "ground_reflectivity. is 0.5; give .* and only then"),
             (2, 0.1, None, {}, "ground_reflectivity. is None"),
             (2, 0.1, 1.5, {}, "ground_reflectivity. is 1.5"),
             (2, 0.1, math.nan, {}, "ground_reflectivity. is nan"),

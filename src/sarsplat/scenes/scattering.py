@@ -118,8 +118,8 @@ def check_ground(
     gamma0: float | None, terrain: Terrain | None = None, bounces: int = 1, reflectivity: float | None = None
 ) -> None:
     """Raise if γ⁰, terrain, number of bounces or mirror reflectivity |Γ|² of the ground are invalid or do not fit."""
-    lost = reflectivity is not None and (bounces != 2 or gamma0 is None)
-    wrong = bounces == 2 and gamma0 is not None and (reflectivity is None or not 0 <= reflectivity <= 1)  # also NaN
+    mirrors = bounces == 2 and gamma0 is not None
+    fits = reflectivity is not None and 0 <= reflectivity <= 1 if mirrors else reflectivity is None  # not NaN
     raise_first(
         (
             gamma0 is not None and not 0 <= gamma0 <= _MAX_GAMMA0,
@@ -129,11 +129,10 @@ def check_ground(
         (bounces not in (1, 2), f"`bounces` is {bounces}; give 1, or 2 for second bounces"),
         (bounces == 2 and terrain is not None, "second bounces need flat ground; leave out `terrain`"),
         (
-            lost,
-            f"`ground_reflectivity` is {reflectivity}, but only second bounces on ground have one; give `bounces=2` "
-            "and `ground_gamma0` (0 for a dark mirror), or leave it out",
+            not fits,
+            f"`ground_reflectivity` is {reflectivity}; give |Γ|², 0 to 1, with `bounces=2` and `ground_gamma0` (0 for "
+            "a dark mirror), and only then",
         ),
-        (wrong, f"`ground_reflectivity` is {reflectivity}; give |Γ|², 0 to 1, for second bounces on ground"),
     )
 
 
