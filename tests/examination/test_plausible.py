@@ -235,9 +235,13 @@ def images(width: float = 1.0, reflector_db: float | None = None, ground: bool =
         rows, columns = np.indices((40, 36))
         away2 = (rows - 20) ** 2 + (columns - 18) ** 2  # at the middle of a pixel: all the power that can be is there
         power += 10 ** (reflector_db / 10) * np.exp2(-4 * away2 / width**2)
-    views = [(View(360 * k / count, 30.0), "train") for k in range(count)]
-    looks = {"looks": 1.0} if ground else {}
-    return dataset_of(grid, views, power.astype(np.float32), ground=ground, calibration="relative", **looks)
+    return measured(grid, power, ground=ground, looks=1.0 if ground else None)
+
+
+def measured(grid: ImageGrid, power: np.ndarray, **fields) -> Dataset:
+    """From all around."""
+    items = [(view, "train") for view in ring(len(power), 30.0)]
+    return dataset_of(grid, items, power.astype(np.float32), calibration="relative", **fields)
 
 
 def found(dataset: Dataset) -> list[str]:
@@ -275,9 +279,7 @@ def unweighted(offset: tuple[float, float], reflector_db: float) -> Dataset:
     amplitude = rng.standard_normal((count, size, size)) + 1j * rng.standard_normal((count, size, size))
     point = np.fft.ifft2(np.outer(*(np.exp(-2j * np.pi * frequency * at) for at in np.add((20, 30), offset))))
     power = np.abs(amplitude / np.sqrt(2) + 10 ** (reflector_db / 20) * point) ** 2
-    grid = ImageGrid(size, size, (0.2, 0.2), (0.2 * 0.886, 0.2 * 0.886))
-    views = [(View(360 * k / count, 30.0), "train") for k in range(count)]
-    return dataset_of(grid, views, power.astype(np.float32), ground=True, calibration="relative", looks=1.0)
+    return measured(ImageGrid(size, size, (0.2, 0.2), (0.2 * 0.886, 0.2 * 0.886)), power, ground=True, looks=1.0)
 
 
 @pytest.mark.parametrize("reflector_db", [40.0, 60.0])

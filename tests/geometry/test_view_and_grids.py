@@ -42,15 +42,12 @@ def test_a_view_towards_a_direction_is_the_view_from_there():
         assert again.grazing_deg == pytest.approx(view.grazing_deg, abs=1e-6)
 
 
-def test_numbers_of_every_kind_are_angles_and_count_pixels():
+def test_numbers_of_every_kind_are_angles_and_count_pixels_limits_included():
     assert View(np.float32(30), 40) == View(30.0, np.int64(40))
     assert json.dumps(View(np.float32(30), np.int64(40)).as_dict()) == '{"azimuth_deg": 30.0, "grazing_deg": 40.0}'
     assert View(3600, 40).direction == pytest.approx(View(0, 40).direction, abs=1e-12)
     grid = ImageGrid(np.int64(4), np.int32(5), (0.2, 0.2), (0.3, 0.3))
     assert json.dumps([grid.rows, grid.columns]) == "[4, 5]"
-
-
-def test_limits_themselves_are_grids():
     shortest = ImageGrid(1, 131_072, (1e-6, 1e6), (1e6, 1e-6), (-1e6, 1e6))
     assert ImageGrid(131_072, 1, *(getattr(shortest, f"{name}_m") for name in ("spacing", "resolution", "center")))
 
