@@ -153,8 +153,8 @@ def _near(shadow: SideEvidence, edge: SideEvidence, layover: SideEvidence, centr
         return certain
     significance = math.sqrt(CHANCE)  # of each of the two
     by_layover = layover.side(_MIN_LAYOVER, significance)
-    agree = by_layover == edge.side(_MIN_EDGE, significance) and (not shadow.count or shadow.strongest == by_layover)
-    return by_layover if agree else None
+    darkest = SIDES[int(shadow.mean.argmax())] if shadow.count else by_layover
+    return by_layover if by_layover == edge.side(_MIN_EDGE, significance) == darkest else None
 
 
 def shadow_sides(levels: Float64[np.ndarray, "v rows columns"], views: Sequence[View]) -> SideEvidence:
@@ -173,18 +173,14 @@ def shadow_sides(levels: Float64[np.ndarray, "v rows columns"], views: Sequence[
     quadrants = [rfft2(weight * mask) for mask in beyond]
     darkness, directions = [], []
     for level, view in zip(levels, views, strict=False):
-        bright = rfft2(_coarse(np.clip(level - _BRIGHT_DB, 0.0, _BRIGHTEST_DB - _BRIGHT_DB), step), padded)
-        dark = _coarse(np.clip(-level, 0.0, -_DARKEST_DB), step)
+        weights = np.clip(level - _BRIGHT_DB, 0.0, _BRIGHTEST_DB - _BRIGHT_DB), np.clip(-level, 0.0, -_DARKEST_DB)
+        coarse, dark = (in_blocks(image, step).mean(axis=(1, 3)) for image in weights)
+        bright = rfft2(coarse, padded)
         reached = [irfft2(bright * quadrant, padded)[:rows, :columns] for quadrant in quadrants]
         if bright[0, 0].real > 0 and min(share.sum() for share in reached) > 0:
             darkness.append([float((share * dark).sum() / share.sum()) for share in reached])
             directions.append(view.look.ahead)
     return SideEvidence(np.array(darkness).reshape(-1, 4), np.array(directions).reshape(-1, 2))
-
-
-def _coarse(image: Float64[np.ndarray, "rows columns"], step: int) -> Float64[np.ndarray, "m n"]:
-    """Average blocks of step × step pixels; incomplete blocks at the ends are dropped."""
-    return in_blocks(image, step).mean(axis=(1, 3))
 
 
 def edge_sides(levels: Float64[np.ndarray, "v rows columns"], outlines: Sequence[Outline]) -> SideEvidence:

@@ -82,11 +82,6 @@ class SideEvidence:
         return Evidence(self.values[:, 0]).count
 
     @property
-    def strongest(self) -> Side:
-        """Side with the largest mean, significant or not."""
-        return SIDES[int(self.mean.argmax())]
-
-    @property
     def mean(self) -> Float64[np.ndarray, " 4"]:
         """Mean of each side; 0 if the values are too few."""
         return self.values.mean(axis=0) if self.count else np.zeros(4)
