@@ -170,24 +170,32 @@ class Hits:
     area: float | Float64[np.ndarray, " k"]  # m²
 
 
+@dataclass(frozen=True)
+class Lattice:
+    """Lattice of rays onto the patches of a mesh, for images of one resolution."""
+
+    patches: Patches
+    spacing: float  # near outlines, m
+    offset: tuple[float, float]  # along both axes, in spacings
+    resolution: tuple[float, float]  # azimuth and range, m
+
+
 def sparse_hits(
+    lattice: Lattice,
     facets: Facets,
-    patches: Patches,
     trace: Trace,
     region: Region,
-    spacing: float,
-    offset: tuple[float, float],
-    resolution: tuple[float, float],
     least_slope: float,
     progress: Callable[[float], object],
 ) -> Iterator[Hits]:
-    """Yield first hits in a region: `spacing` apart near outlines of patches, sparser within them.
+    """Yield first hits in a region: a spacing apart near outlines of patches, sparser within them.
 
     The region is divided into squares of 8 × 8 rays. A square without outlines whose corners see the same patch needs
     no further ray: it is split into as many parts as the slope of the patch, or `least_slope` along y_r, needs to look
     continuous at the resolution (azimuth, range). Other squares get all of their rays. `progress` is called with the
     finished share.
     """
+    patches, spacing, offset, resolution = lattice.patches, lattice.spacing, lattice.offset, lattice.resolution
     side = _RAYS_PER_SIDE * spacing
     origin = np.array(offset) - 0.5
 

@@ -19,8 +19,7 @@ from jaxtyping import Bool, Float64, Int32
 from sarsplat.extras import Trimesh
 from sarsplat.geometry import View
 from sarsplat.scenes._deposit import Deposit, NodeGrid
-from sarsplat.scenes._patches import Patches
-from sarsplat.scenes._rays import Facets, Region, Trace, embree_scene, sparse_hits
+from sarsplat.scenes._rays import Facets, Lattice, Region, Trace, embree_scene, sparse_hits
 from sarsplat.scenes.scattering import ScatteringLaw
 
 Points = Float64[np.ndarray, "k 3"]
@@ -52,9 +51,8 @@ class _Points:
 class SecondBounce:
     """Second bounces of one mesh, without ground, from any views.
 
-    `law` is γ of its facets, and `factors` the factor of each. Rays have this `spacing` and `offset`, images this
-    `resolution_m` (azimuth, range), m. `ground_reflectivity` is |Γ|² of level ground at z = 0; None where there is no
-    ground.
+    `law` is γ of its facets, and `factors` the factor of each. `ground_reflectivity` is |Γ|² of level ground at z = 0;
+    None where there is no ground.
     """
 
     def __init__(
@@ -62,14 +60,10 @@ class SecondBounce:
         mesh: Trimesh,
         law: ScatteringLaw,
         factors: Float64[np.ndarray, " f"],
-        patches: Patches,
-        spacing: float,
-        offset: tuple[float, float],
-        resolution_m: tuple[float, float],
+        lattice: Lattice,
         ground_reflectivity: float | None,
     ) -> None:
-        self._mesh, self._law, self._factors, self._patches = mesh, law, factors, patches
-        self._spacing, self._offset, self._resolution_m = spacing, offset, resolution_m
+        self._mesh, self._law, self._factors, self._lattice = mesh, law, factors, lattice
         self._reflectivity = ground_reflectivity
         self._mirrored = mesh.copy()
         self._mirrored.vertices = np.asarray(mesh.vertices) * (1.0, 1.0, -1.0)
@@ -137,12 +131,14 @@ class SecondBounce:
         look, legs, count = view.look, _Legs(self._mesh), 0
         u = look.facing
         for points in self._found(facets, trace, view, u, progress):
-            directions = np.maximum(np.rint(_DIRECTIONS * points.area / self._spacing**2), 1).astype(np.int64)
+            directions = np.maximum(np.rint(_DIRECTIONS * points.area / self._lattice.spacing**2), 1).astype(np.int64)
             points = points[np.repeat(np.arange(len(directions)), directions)]
             area = points.area / np.repeat(directions, directions)
             number = count + np.arange(len(points.face))
             count += len(number)
-            away = _half_sphere(points.normal, *((number * step + at) % 1 for step, at in zip(_EVENLY, self._offset)))
+            away = _half_sphere(
+                points.normal, *((number * step + at) % 1 for step, at in zip(_EVENLY, self._lattice.offset))
+            )
             face = legs.first(points.position + legs.lift * points.normal, away)
             hit = face >= 0
             points, area, away, face = points[hit], area[hit], away[hit], face[hit]
@@ -182,8 +178,7 @@ class SecondBounce:
         """Yield points hit by rays along the line of sight; `turned` is the reflection from `facets` to the world."""
         low, high = facets.vertices.min(axis=0), facets.vertices.max(axis=0)
         region = Region((float(low[0]), float(high[0])), (float(low[1]), float(high[1])))
-        settings = (region, self._spacing, self._offset, self._resolution_m, _STEEPEST, progress)
-        for hits in sparse_hits(facets, self._patches, trace, *settings):
+        for hits in sparse_hits(self._lattice, facets, trace, region, _STEEPEST, progress):
             position = np.column_stack([hits.position, hits.slant_range]) @ view.look.frame * turned
             normal = self._normals[hits.face]
             side = np.sign(normal @ (u * turned))

@@ -21,7 +21,7 @@ from sarsplat.radiometry import to_db
 from sarsplat.scenes._deposit import Deposit, NodeGrid
 from sarsplat.scenes._parallel import in_order
 from sarsplat.scenes._patches import Patches
-from sarsplat.scenes._rays import Facets, Region, Trace, first_hits, sparse_hits, tracer
+from sarsplat.scenes._rays import Facets, Lattice, Region, Trace, first_hits, sparse_hits, tracer
 from sarsplat.scenes._second_bounce import SecondBounce
 from sarsplat.scenes.placement import warn_below_ground
 from sarsplat.scenes.scattering import ScatteringLaw, check_ground, check_reflectivity, raise_first
@@ -124,7 +124,7 @@ class RayCaster:
     ) -> None:
         check_rays(mesh, ground_gamma0, ray_spacing, ray_offset)
         check_ground(ground_gamma0, terrain, bounces, ground_reflectivity)
-        self._grid, self._law = grid, law
+        self._law = law
         self._reflectivity = check_reflectivity(reflectivity, len(mesh.faces))
         self._terrain_gamma0: Float64[np.ndarray, " t"] = np.empty(0)
         if terrain is not None:  # its triangles are traced like those of the mesh, and there is no other ground
@@ -134,15 +134,13 @@ class RayCaster:
             self._reflectivity = np.concatenate([self._reflectivity, np.full(len(mesh.faces) - faces, _NO_TARGET)])
             ground_gamma0 = None
         self._mesh, self._ground_gamma0 = mesh, ground_gamma0
-        self._spacing, self._offset = ray_spacing, ray_offset
         self._nodes = NodeGrid(grid, oversample)
-        self._patches = Patches.of(mesh, self._reflectivity)
+        self._lattice = Lattice(Patches.of(mesh, self._reflectivity), ray_spacing, ray_offset, grid.resolution_m)
         self.power_by_echo: dict[View, dict[str, float]] = {}
         """Sum of the pixels (β⁰) of each image with second bounces so far, by kind of echo."""
         self._second: SecondBounce | None = None
         if bounces == 2:
-            settings = (self._patches, ray_spacing, ray_offset, grid.resolution_m, ground_reflectivity)
-            self._second = SecondBounce(mesh, law, self._reflectivity, *settings)
+            self._second = SecondBounce(mesh, law, self._reflectivity, self._lattice, ground_reflectivity)
 
     def image(
         self, view: View, progress: Callable[[float], object] = lambda share: None
@@ -161,17 +159,7 @@ class RayCaster:
         direct = 1.0 if self._second is None else _DIRECT
         # change of slant range on the ground for each metre of the computation plane
         ground_slope = 0.0 if ground is None else math.hypot(1 / look.slope, look.range_on_ground(1.0, 0.0))
-        hits = sparse_hits(
-            facets,
-            self._patches,
-            trace,
-            region,
-            self._spacing,
-            self._offset,
-            self._grid.resolution_m,
-            ground_slope,
-            lambda share: progress(direct * share),
-        )
+        hits = sparse_hits(self._lattice, facets, trace, region, ground_slope, lambda share: progress(direct * share))
         for hit in hits if not region.empty else ():
             x, y = hit.position.T
             deposit.add(x, hit.slant_range, gamma0[hit.face] * hit.area)
