@@ -52,29 +52,43 @@ from sarsplat.threads import convert
 
 @dataclass(frozen=True)
 class Run(Result):
-    """A reconstruction: images, points, normals and a mesh from its checkpoint, without its dataset."""
+    """A reconstruction: images, points, normals and a mesh from its checkpoint, without its dataset.
+
+    Parameters
+    ----------
+    method : str
+        Name of its method, one of `METHODS`.
+    config : AnyConfig
+        Settings of that method.
+    fingerprint : str
+        Fingerprint of its dataset when training began.
+    path : Path or None
+        Its folder: `config.json`, `metrics.jsonl`, `metrics.json`, `checkpoints/`, `points.ply`, `report/` and files of
+        its method. None in memory.
+    dataset_path : Path or None
+        Folder of its dataset.
+    memory : InMemory or None
+        Its storage without a folder.
+    device : str
+        Device that renders and extracts points, "cpu" or "cuda"; results are arrays on the CPU.
+    images : Dataset or None
+        Its dataset in memory.
+    trained_on : str
+        Device of its training, "cpu" or "cuda"; "" if unknown.
+    place : Place or None
+        Georeference of the scene's origin from its dataset.
+    """
 
     method: str
-    """Name of its method, one of `METHODS`."""
     config: Any
-    """Settings of that method, an `AnyConfig`."""
     fingerprint: str
-    """Fingerprint of its dataset when training began."""
     path: Path | None = None
-    """Its folder: `config.json`, `metrics.jsonl`, `metrics.json`, `checkpoints/`, `points.ply`, `report/` and files of
-    its method. None in memory."""
     dataset_path: Path | None = None
-    """Folder of its dataset."""
     memory: InMemory | None = None
-    """Its storage without a folder."""
     device: str = "cpu"
-    """Device that renders and extracts points, "cpu" or "cuda"; results are arrays on the CPU."""
     images: Dataset | None = field(default=None, compare=False, repr=False)
-    """Its dataset in memory."""
     trained_on: str = ""
-    """Device of its training, "cpu" or "cuda"; "" if unknown."""
     place: Place | None = None
-    """Georeference of the scene's origin from its dataset."""
 
     def __repr__(self) -> str:
         where, preset = self.path or "in memory", getattr(self.config, "preset", None)
