@@ -15,8 +15,7 @@ from sarsplat.colours import DARK
 from sarsplat.radar import Pixel
 from sarsplat.viewer import Viewer, subject_at
 from sarsplat.viewer.pictures import MAPS, PHASES, phase_panel
-from sarsplat.viewer.run_subject import subject_of_run
-from sarsplat.viewer.subject import TRUTH, dataset_subject
+from sarsplat.viewer.subject import TRUTH, dataset_subject, subject_of_run
 from sarsplat.viewer.viewer import _explained
 
 VIEW = View(40.0, 30.0)
