@@ -21,7 +21,7 @@ sys.path.insert(0, str(HERE.parent / "tests"))
 import cphds  # noqa: E402
 from sarsplat.errors import SarsplatWarning  # noqa: E402
 from sarsplat.importers import import_phase_history  # noqa: E402
-from sarsplat.report.check_sheet import check_sheet  # noqa: E402
+from sarsplat.report.sheet import check_sheet  # noqa: E402
 
 OUTPUT = HERE / "images" / "cphd.png"
 BEARINGS = (10, 70, 130, 190, 250, 310)  # degrees, of the radar

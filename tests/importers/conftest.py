@@ -12,10 +12,10 @@ import pytest
 @pytest.fixture(scope="module", autouse=True)
 def small_previews() -> Iterator[None]:
     """Of one image: sheets of twelve take longer than the imports."""
-    from sarsplat.report import check_sheet
+    from sarsplat.report import sheet
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(check_sheet, "check_sheet", partial(check_sheet.check_sheet, most=1))
+        patch.setattr(sheet, "check_sheet", partial(sheet.check_sheet, most=1))
         yield
 
 
@@ -43,4 +43,4 @@ def unexamined() -> Iterator[None]:
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """For tests of messages of imports alone: an empty preview."""
-    monkeypatch.setattr("sarsplat.report.check_sheet.check_sheet", lambda *_, **__: b"")
+    monkeypatch.setattr("sarsplat.report.sheet.check_sheet", lambda *_, **__: b"")

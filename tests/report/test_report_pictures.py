@@ -21,13 +21,12 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import radar_frame
 from sarsplat.report import Look, contact_sheet, decibel_png, sheet
 from sarsplat.report.boards import SIDES, Raster, point_boards
-from sarsplat.report.check_sheet import check_sheet
 from sarsplat.report.curves import curves_figure
 from sarsplat.report.figure import axis, nice, scale_bar
 from sarsplat.report.images import Difference, target_window, window
-from sarsplat.report.layover import Slice, brightest_layover
 from sarsplat.report.rendered import Rendered, frame
-from sarsplat.report.stacks import Interferogram, Pair, averaged, covariances
+from sarsplat.report.sheet import check_sheet
+from sarsplat.report.stacks import Interferogram, Pair, Slice, averaged, brightest_layover, covariances
 from sarsplat.report.views import evenly
 from sarsplat.runs.run_folder import LogLine
 

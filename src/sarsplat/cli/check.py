@@ -59,7 +59,7 @@ def check(
     with console.busy(f"looking at {counted(len(read), 'image')} of {dataset}"):
         examined = examine(read)
         if out is not None:
-            from sarsplat.report.check_sheet import check_sheet
+            from sarsplat.report.sheet import check_sheet
 
             write_bytes(out, check_sheet(read, images, examined.orientations))
     console.facts(f"{dataset}: {counted(len(read), 'image')}", examined.checks)

@@ -261,7 +261,7 @@ def _finish(out: Path, dataset: "Dataset", examined: "Examination") -> int:
         console.complain(text)
     warn(box_misses(dataset))
     try:
-        from sarsplat.report.check_sheet import check_sheet
+        from sarsplat.report.sheet import check_sheet
 
         write_bytes(out / "preview.png", check_sheet(dataset, orientations=examined.orientations))
         arrow = "a target's nose point along the dotted arrow"

@@ -18,9 +18,8 @@ from sarsplat.progress import progress
 from sarsplat.report.boards import mesh_boards, point_boards
 from sarsplat.report.curves import azimuths_figure, curves_figure
 from sarsplat.report.figure import Figure
-from sarsplat.report.layover import brightest_layover, slice_figure
 from sarsplat.report.page import page
-from sarsplat.report.stacks import PAULI, pauli_figure, phases_figure
+from sarsplat.report.stacks import PAULI, brightest_layover, pauli_figure, phases_figure, slice_figure
 from sarsplat.report.views import chosen_views, masks_figure, unseen_figure
 from sarsplat.report.widget import widget
 from sarsplat.runs import Run
