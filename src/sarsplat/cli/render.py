@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from sarsplat.geometry import ImageGrid, View
-    from sarsplat.report.look import Look
+    from sarsplat.report import Look
     from sarsplat.runs import Run
 
 _AT_A_TIME = 4  # views, between two steps of the progress
@@ -129,7 +129,7 @@ def render(
     """
     from sarsplat.colours import POWER
     from sarsplat.data.folders import refuse_other_kinds
-    from sarsplat.report.look import Look
+    from sarsplat.report import Look
     from sarsplat.report.rendered import ANIMATIONS, FILES, SHEET, Rendered, asked_grid, require_output
     from sarsplat.tiles import tiles_kept_in
 

@@ -1,7 +1,7 @@
 """A run's report: pictures, scores and settings on one page that needs no network."""
 
 from sarsplat.report.compare import Comparison, compare, write_comparison
-from sarsplat.report.look import Look, decibel_png
+from sarsplat.report.images import Look, decibel_png
 from sarsplat.report.sheet import contact_sheet
 from sarsplat.report.write import write_report
 

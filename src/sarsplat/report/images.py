@@ -1,4 +1,4 @@
-"""SAR images and their errors as panels of a page: axes in metres, a scale bar, and the radar above."""
+"""SAR images as pictures, pixel for pixel, and with their errors as panels of a page with axes in metres."""
 
 import base64
 import io
@@ -6,10 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64, Real, UInt8
+from jaxtyping import Float, Float64, Real, UInt8
 
 from sarsplat.colours import DIFFERENCE, DIFFERENCE_IN_WORDS, POWER, Palette, ramp
 from sarsplat.data.image import in_blocks
+from sarsplat.errors import SarsplatError
 from sarsplat.evaluation import UndefinedScore, register
 from sarsplat.evaluation.images import smoothed
 from sarsplat.geometry import ImageGrid, View
@@ -24,6 +25,8 @@ _LARGEST_DB, _LARGEST_SIGMA = 6.0, 4.0  # ends of the colour scale; larger diffe
 
 _LEAST_WINDOW = 3
 _DARKEST_DB = -60.0  # floor of rendered power below the peak: σ is never 0
+
+_ROWS = 512  # of an image whose decibels are calculated at once
 
 
 def indexed(values: Real[np.ndarray, "*shape"], low: float, high: float) -> UInt8[np.ndarray, "*shape"]:
@@ -221,3 +224,68 @@ def fitted(truth: Images, rendered: Images, looks: float | None, margin: int) ->
         return rendered
     moved = [np.roll(image, tuple(shift), (0, 1)) for image, shift in zip(rendered, best.shift, strict=True)]
     return np.stack(moved) * best.gain[:, None, None]
+
+
+# ---- pixel for pixel ------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Look:
+    """Black and white levels and colour map of displayed power.
+
+    Parameters
+    ----------
+    peak : float
+        The power that is white, or at the upper end of the colours; linear.
+    range_db : float
+        How far below it black, or the lower end of the colours, is, dB.
+    cmap : str
+        Name of a ramp (colours.py) or of a colour map of matplotlib, which all but grey need.
+
+    Raises
+    ------
+    SarsplatError
+        If the range is not positive.
+    """
+
+    peak: float
+    range_db: float = DYNAMIC_RANGE_DB
+    cmap: str = POWER
+
+    def __post_init__(self) -> None:
+        if not 0 < self.range_db < math.inf:
+            raise SarsplatError(f"a range of {self.range_db} dB cannot be shown; give a positive one, such as 40")
+
+    def shade(self, power: Real[np.ndarray, "*pixels"]) -> Float[np.ndarray, "*pixels"]:
+        """0 where it is black or darker, 1 where it is as bright as the peak or brighter."""
+        return shade(power, self.peak, self.range_db)
+
+    def palette(self) -> UInt8[np.ndarray, "256 3"]:
+        """RGB of shades from 0 to 1; raises `SarsplatError` if the colour map does not exist."""
+        return ramp(self.cmap)[:, :3]
+
+
+def decibel_png(power: Real[np.ndarray, "rows columns"], look: Look) -> bytes:
+    """One image as an 8-bit PNG, pixel for pixel, grey or with a palette.
+
+    Parameters
+    ----------
+    power : numpy.ndarray, float [rows, columns]
+        β⁰, linear power.
+    look : Look
+        Which power is white, and which is black.
+    """
+    from PIL import Image, PngImagePlugin
+
+    low, high = ("black", "white") if look.cmap == POWER else ("lower end", "upper end")
+    text = PngImagePlugin.PngInfo()
+    text.add_text(
+        "Description", f"beta0 in dB: {low} = -{look.range_db:g} dB, {high} = 0 dB of beta0 = {look.peak:.6g}"
+    )
+    shades = np.empty(power.shape, np.uint8)
+    for first in range(0, len(power), _ROWS):
+        shades[first : first + _ROWS] = np.round(255 * look.shade(power[first : first + _ROWS]))
+    picture = Image.fromarray(shades)
+    if look.cmap != POWER:
+        picture.putpalette(look.palette().tobytes())
+    buffer = io.BytesIO()
+    picture.save(buffer, "PNG", pnginfo=text)
+    return buffer.getvalue()

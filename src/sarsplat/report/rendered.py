@@ -22,8 +22,7 @@ from sarsplat.geometry import ImageGrid, View
 from sarsplat.geometry.view import seen_alike
 from sarsplat.names import Swept
 from sarsplat.report.figure import nice
-from sarsplat.report.images import target_window
-from sarsplat.report.look import Look, decibel_png
+from sarsplat.report.images import Look, decibel_png, target_window
 from sarsplat.report.sheet import contact_sheet
 
 if TYPE_CHECKING:

@@ -20,8 +20,7 @@ from sarsplat.geometry import ImageGrid, View
 from sarsplat.radiometry import bright_level, to_db
 from sarsplat.regions.outlines import levels_db, outline
 from sarsplat.report.figure import scale_bar
-from sarsplat.report.images import block_means, target_window
-from sarsplat.report.look import Look
+from sarsplat.report.images import Look, block_means, target_window
 from sarsplat.report.views import evenly
 
 if TYPE_CHECKING:
