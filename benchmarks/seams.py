@@ -38,7 +38,7 @@ def one(path: str, preset_name: str, tiles: int) -> dict[str, Any]:
     from sarsplat import preset, read_dataset, reconstruct
     from sarsplat.evaluation import Yardstick, visible_surface
     from sarsplat.evaluation.images import psnr_db
-    from sarsplat.evaluation.points import first_of_voxels, surface_distance
+    from sarsplat.evaluation.points import first_of_voxels, on_surface
     from sarsplat.evaluation.surface import read_truth_mesh
     from sarsplat.settings.sections import FlatGround
 
@@ -81,7 +81,7 @@ def one(path: str, preset_name: str, tiles: int) -> dict[str, Any]:
 
     def scores(own: Any, true: Any) -> dict[str, float]:
         some = points[own][chance.permutation(int(own.sum()))[:POINTS]]
-        off = surface_distance(some, surface.triangles)
+        off, _ = on_surface(some, surface.triangles)
         values = {"cd_m": float(off.mean() + to_points[true].mean()) / 2, "samples": int(true.sum())}
         for threshold in (yardstick.thresholds_m[0], yardstick.thresholds_m[2]):
             precision, recall = float((off <= threshold).mean()), float((to_points[true] <= threshold).mean())

@@ -25,7 +25,7 @@ from sarsplat.baselines.soft_raster import Lattice, soft_coverage
 from sarsplat.baselines.trainer import scene_of
 from sarsplat.cli.app import run as command
 from sarsplat.data import read_points_ply
-from sarsplat.evaluation.points import surface_distance
+from sarsplat.evaluation.points import on_surface
 from sarsplat.runs import METHODS
 
 BASELINES = cast("Mapping[str, BaselineMethod]", METHODS)
@@ -140,7 +140,7 @@ def test_points_lie_on_what_the_radar_sees(run_of):
     run = Run.load(run_of("dsr"))
     surface = run.mesh()
     assert len(run.points) > 200
-    assert surface_distance(run.points, np.asarray(surface.triangles)).max() < 1e-4
+    assert on_surface(run.points, np.asarray(surface.triangles))[0].max() < 1e-4
     _, face = cKDTree(surface.triangles_center).query(run.points)
     np.testing.assert_allclose(np.linalg.norm(run.normals, axis=1), 1, atol=1e-5)
     along = np.abs((run.normals * surface.face_normals[face]).sum(axis=1))

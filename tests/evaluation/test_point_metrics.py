@@ -12,7 +12,7 @@ from made import FEW_POINTS, dataset_of, upright
 from sarsplat import ImageGrid, Run, SarsplatError, View, render
 from sarsplat.evaluation import Yardstick, all_metrics, metrics_of_points, point_metrics, visible_surface
 from sarsplat.evaluation.left_open import _middles, missing
-from sarsplat.evaluation.points import Alignment, align, first_of_voxels, surface_distance
+from sarsplat.evaluation.points import Alignment, align, first_of_voxels, on_surface
 from sarsplat.runs.run_folder import left_open
 
 trimesh = pytest.importorskip("trimesh")
@@ -100,7 +100,7 @@ def test_distance_is_exact_for_any_triangles():
     sphere = np.asarray(trimesh.creation.icosphere(subdivisions=2).triangles)
     middle = np.array([[1e-3, 0, 0]])  # where all triangles compete
     for places, surface in ((points, triangles), (middle, sphere)):
-        assert surface_distance(places, surface) == pytest.approx(brute_force(places, surface), abs=1e-12)
+        assert on_surface(places, surface)[0] == pytest.approx(brute_force(places, surface), abs=1e-12)
 
 
 @pytest.mark.parametrize("count", [1, 2, 5000])
@@ -117,9 +117,9 @@ def test_samples_near_and_far_find_the_nearest_point(count: int, middle_m: float
 
 def test_triangles_without_area_are_ignored():
     spike = np.array([[[5, 5, 5], [5, 5, 5], [6, 5, 5]]], dtype=float)
-    assert surface_distance(np.array([[0.5, 0.5, 2.0]]), np.concatenate([SQUARE, spike])) == pytest.approx(2.0)
+    assert on_surface(np.array([[0.5, 0.5, 2.0]]), np.concatenate([SQUARE, spike]))[0] == pytest.approx(2.0)
     with pytest.raises(SarsplatError, match="no triangle"):
-        surface_distance(np.zeros((1, 3)), spike)
+        on_surface(np.zeros((1, 3)), spike)
 
 
 def test_one_point_per_voxel_is_kept_the_first():

@@ -37,6 +37,12 @@ TARGET_DYNAMIC_DB = 30.0
 REACH = 3
 """Largest shift of a prediction along each axis, pixels."""
 
+_REMEDIES = {
+    "true": "raise zeros to the smallest power, or simulate with `ground_gamma0`",
+    "predicted": "reconstruct with a noise floor (preset measured)",
+}
+"""Remedies where true or predicted power is zero."""
+
 _SMALLEST_MSE = float(np.finfo(np.float32).eps) ** 2  # 138 dB: float32 images cannot be distinguished any better
 
 
@@ -137,8 +143,8 @@ def nats_per_pixel(truth: Stack, rendered: Stack, margin: int = 0) -> float:
         If S is zero inside the margin (the likelihood of any return is then zero), or nothing is left inside it.
     """
     _check_stacks(truth, rendered)
-    measured, predicted = _inside(truth.astype(np.float64), margin), _inside(rendered.astype(np.float64), margin)
-    _check_positive(predicted, "predicted")
+    measured = _inside(truth.astype(np.float64), margin)
+    predicted = _positive(rendered.astype(np.float64), margin, "predicted")
     return float(np.mean(np.log(predicted) + measured / predicted))
 
 
@@ -155,10 +161,8 @@ def log_correlation(truth: Stack, rendered: Stack, margin: int = 0) -> float:
     """
     _check_stacks(truth, rendered)
     logs = []
-    for power, name in ((truth, "true"), (rendered, "predicted")):
-        smooth = _inside(smoothed(power), margin)
-        _check_positive(smooth, name)
-        logs.append(_standardised(np.log(smooth)))
+    for power, kind in ((truth, "true"), (rendered, "predicted")):
+        logs.append(_standardised(np.log(_positive(smoothed(power), margin, kind))))
     return float(np.mean(logs[0] * logs[1]))
 
 
@@ -196,7 +200,7 @@ def register(truth: Stack, rendered: Stack, margin: int = 0) -> Registration:
     """
     _check_stacks(truth, rendered)
     measured = _inside(truth.astype(np.float64), margin)
-    predicted = _reachable(rendered.astype(np.float64), margin)
+    predicted = _positive(rendered.astype(np.float64), max(margin - REACH, 0), "predicted")
     if not measured.any(axis=(1, 2)).all():
         raise UndefinedScore("a true image is black inside the margin, so no gain suits it; remove it")
     shifts, nats, gains = [], [], []
@@ -212,18 +216,10 @@ def register(truth: Stack, rendered: Stack, margin: int = 0) -> Registration:
 def registered_log_correlation(truth: Stack, rendered: Stack, margin: int = 0) -> float:
     """`log_correlation`, as which it raises, with each prediction shifted to its best fit, of any gain."""
     _check_stacks(truth, rendered)
-    measured, predicted = _inside(smoothed(truth), margin), _reachable(smoothed(rendered), margin)
-    _check_positive(measured, "true")
-    log = _standardised(np.log(measured))
+    predicted = _positive(smoothed(rendered), max(margin - REACH, 0), "predicted")
+    log = _standardised(np.log(_positive(smoothed(truth), margin, "true")))
     correlations = [(log * _standardised(moved)).mean(axis=(1, 2)) for _, moved in _moved(np.log(predicted), margin)]
     return float(np.mean(np.max(correlations, axis=0)))
-
-
-def _reachable(predicted: Float64[np.ndarray, "v rows columns"], margin: int) -> Float64[np.ndarray, "v wide high"]:
-    """The pixels that a shift can bring inside the margin; refused if any is zero."""
-    reachable = _inside(predicted, max(margin - REACH, 0))
-    _check_positive(reachable, "predicted")
-    return reachable
 
 
 def _moved(
@@ -280,19 +276,15 @@ def _check_stacks(truth: Stack, rendered: Stack) -> None:
             raise SarsplatError(f"the {name} images hold negative or non-finite power; give β⁰ ≥ 0, linear")
 
 
-def _check_positive(power: Stack, name: str) -> None:
-    """Refuse power that has no logarithm; `name` is "true" or "predicted"."""
-    zeros = int(np.count_nonzero(power <= 0))
-    if zeros:
-        remedy = (
-            "raise zeros to the smallest power, or simulate with `ground_gamma0`"
-            if name == "true"
-            else "reconstruct with a noise floor (preset measured)"
-        )
+def _positive(power: Stack, margin: int, kind: str) -> Real[np.ndarray, "v fewer_rows fewer_columns"]:
+    """True or predicted images without `margin` pixels on each side; raise if any pixel left has no logarithm."""
+    inside = _inside(power, margin)
+    if zeros := int(np.count_nonzero(inside <= 0)):
         raise UndefinedScore(
-            f"the {name} power is zero at {zeros} of {power.size} scored pixels, where its logarithm does not exist; "
-            f"{remedy}"
+            f"the {kind} power is zero at {zeros} of {inside.size} scored pixels, where its logarithm does not exist; "
+            f"{_REMEDIES[kind]}"
         )
+    return inside
 
 
 @dataclass(frozen=True)

@@ -203,13 +203,6 @@ def first_of_voxels(points: Float[np.ndarray, "p 3"], voxel: float) -> Int64[np.
     return np.sort(np.unique(numbered(torch.from_numpy(cells)).numpy(), return_index=True)[1])
 
 
-def surface_distance(
-    points: Float[np.ndarray, "p 3"], triangles: Float[np.ndarray, "t 3 3"]
-) -> Float64[np.ndarray, " p"]:
-    """Distance of each point from the nearest triangle, m (`on_surface`)."""
-    return on_surface(points, triangles)[0]
-
-
 def on_surface(
     points: Float[np.ndarray, "p 3"], triangles: Float[np.ndarray, "t 3 3"]
 ) -> tuple[Float64[np.ndarray, " p"], Float64[np.ndarray, "p 3"]]:

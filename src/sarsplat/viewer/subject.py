@@ -16,7 +16,7 @@ from sarsplat.arguments import checks_arguments
 from sarsplat.data import Dataset, read_dataset
 from sarsplat.data.outliers import outliers
 from sarsplat.errors import SarsplatError
-from sarsplat.evaluation.points import surface_distance
+from sarsplat.evaluation.points import on_surface
 from sarsplat.extras import Trimesh
 from sarsplat.gaussians import Gaussians, Ground
 from sarsplat.geometry import ImageGrid, RayGrid, View
@@ -338,8 +338,7 @@ class RunSubject(Subject):
     def error_m(self, cloud: Cloud) -> Float[np.ndarray, " n"]:
         assert self.truth is not None
         if cloud.name not in self._errors:
-            triangles = np.asarray(self.truth.triangles, np.float64)
-            self._errors[cloud.name] = surface_distance(cloud.places_m.astype(np.float64), triangles)
+            self._errors[cloud.name], _ = on_surface(cloud.places_m, np.asarray(self.truth.triangles, np.float64))
         return self._errors[cloud.name]
 
     def interferogram(self, view: View) -> tuple[Interferogram, Pair]:
