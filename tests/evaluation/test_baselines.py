@@ -92,23 +92,19 @@ def test_scores_of_a_dataset_do_not_depend_on_its_calibration():
 @pytest.mark.filterwarnings("ignore:.*was cut off")
 @pytest.mark.slow
 def test_known_baselines_of_the_measured_t72(tmp_path):
-    # protocol M, K = 36, 17°: the nearest chip scores .573 nats and .841,
-    # registered .533 and .852, the rotated average .527, .505 and .862
-    pytest.importorskip("PIL")
+    """Protocol M, K = 36, 17°: nats and correlation, then both registered."""
     lines = (MSTAR / "labels.csv").read_text().splitlines()
     (tmp_path / "labels.csv").write_text("\n".join(line for line in lines if line == lines[0] or ",17," in line))
     dataset = import_mstar(MSTAR, tmp_path / "t72", labels=tmp_path / "labels.csv", target_class="T72", train_views=36)
     train, truth = dataset.images("train"), dataset.images("test-17")
     train_views, views = (dataset.select(name).views for name in ("train", "test-17"))
-    nearest = nearest_chip(train, train_views, views)
-    assert nats_per_pixel(truth, nearest, 24) == pytest.approx(0.573, abs=0.002)
-    assert log_correlation(truth, nearest, 24) == pytest.approx(0.841, abs=0.002)
-    assert register(truth, nearest, 24).nats.mean() == pytest.approx(0.533, abs=0.002)
-    assert registered_log_correlation(truth, nearest, 24) == pytest.approx(0.852, abs=0.002)
-    rotated = rotated_average(train, train_views, views, dataset.grid)
-    assert nats_per_pixel(truth, rotated, 24) == pytest.approx(0.527, abs=0.002)
-    assert register(truth, rotated, 24).nats.mean() == pytest.approx(0.505, abs=0.002)
-    assert registered_log_correlation(truth, rotated, 24) == pytest.approx(0.862, abs=0.002)
+    for predicted, known in (
+        (nearest_chip(train, train_views, views), [0.573, 0.841, 0.533, 0.852]),
+        (rotated_average(train, train_views, views, dataset.grid), [0.527, 0.854, 0.505, 0.862]),
+    ):
+        plain = [score(truth, predicted, 24) for score in (nats_per_pixel, log_correlation)]
+        registered = register(truth, predicted, 24).nats.mean(), registered_log_correlation(truth, predicted, 24)
+        assert [*plain, *registered] == pytest.approx(known, abs=0.002)
 
 
 def test_zeros_of_measured_power_leave_a_score_null_with_its_reason():
@@ -170,22 +166,13 @@ def run_of(gaussians: Gaussians, noise: float) -> Run:
     return replace(run, config=replace(run.config, points=FEW_POINTS))
 
 
-def shares(texture: float, noise: float = 0.02) -> tuple[float, float]:
-    """What is open of the inside, and near the edges."""
+@pytest.mark.parametrize(("texture", "noise"), [(1.0, 0.02), (100.0, 0.02), (100.0, 2.0)])
+def test_the_inside_of_a_roof_is_open_where_it_is_uniform_or_noise_hides_its_texture(texture, noise) -> None:
     where, left_open = places(run_of(plate(texture), noise))
     to_edge, above = WIDE_M / 2 - np.abs(where[:, :2]).max(axis=1), where[:, 2] > HEIGHT_M - 0.1
-    return left_open[above & (to_edge > 2)].mean(), left_open[above & (to_edge < 0.5)].mean()
-
-
-def test_the_inside_of_a_uniform_roof_is_open_and_its_edges_are_not() -> None:
-    inside, edges = shares(texture=1.0)
-    assert inside > 0.8
-    assert edges < 0.1
-
-
-def test_texture_determines_unless_noise_hides_it() -> None:
-    assert shares(texture=100.0)[0] < 0.2
-    assert shares(texture=100.0, noise=2.0)[0] > 0.8
+    inside, edges = left_open[above & (to_edge > 2)].mean(), left_open[above & (to_edge < 0.5)].mean()
+    assert inside < 0.2 if noise < 1 < texture else inside > 0.8
+    assert edges < 0.1 or texture > 1
 
 
 def test_large_views_are_looked_at_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
