@@ -188,21 +188,18 @@ def test_it_is_the_best_of_all_that_are_tried(predicted, margin):
         assert registered_log_correlation(truth, predicted, margin) == pytest.approx(expected)
 
 
-def test_zeros_and_black_chips_have_no_score(predicted):
-    holed = predicted.copy()
+@pytest.mark.parametrize(
+    ("score", "of_black"), [(register, "black inside the margin"), (registered_log_correlation, "true power is zero")]
+)
+def test_zeros_and_black_chips_have_no_score(predicted, score, of_black):
+    holed, black = predicted.copy(), predicted.copy()
     holed[0, :3, :3] = 0  # farther outside than any move
-    assert np.isfinite(register(predicted, holed, 6).nats).all()
-    assert np.isfinite(registered_log_correlation(predicted, holed, 6))
+    score(predicted, holed, 6)
     holed[0, :5, :5] = 0  # outside the margin, but three pixels move it inside, even what is zero after 3×3 means
-    for score in (register, registered_log_correlation):
-        with pytest.raises(UndefinedScore, match="the predicted power is zero at"):
-            score(predicted, holed, 6)
-    black = predicted.copy()
     black[1, 6:-6, 6:-6] = 0
-    with pytest.raises(UndefinedScore, match="black inside the margin"):
-        register(black, predicted, 6)
-    with pytest.raises(UndefinedScore, match="true power is zero"):
-        registered_log_correlation(black, predicted, 6)
+    for truth, rendered, words in ((predicted, holed, "the predicted power is zero at"), (black, predicted, of_black)):
+        with pytest.raises(UndefinedScore, match=words):
+            score(truth, rendered, 6)
 
 
 # ---- masks ----
