@@ -55,7 +55,6 @@ def test_pages_of_speckled_images_stay_small(tmp_path: Path, monkeypatch: pytest
         return rng.exponential(size=(len(views), pixels, pixels)).astype(np.float32)  # worse than any model's
 
     monkeypatch.setattr("sarsplat.report.widget._MOST_RENDERED", 10**9)  # as many views as fit
-    monkeypatch.setattr("sarsplat.report.boards._PIXELS", 420)
     page = write_report(make_run(tmp_path, dataset, None, render=render, points=rng.normal(size=(50_000, 3))))
     assert 200_000 < page.stat().st_size < 5_000_000
 

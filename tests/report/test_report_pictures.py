@@ -213,14 +213,15 @@ OFFSETS = (0.0, 0.0006, 0.0012, 0.0024, 0.0048)
 STACK = Stack(0.031, OFFSETS, noise=(0.05,) * 5)
 
 
-def dataset(views: tuple[View, ...] = (VIEW,)) -> Dataset:
-    """A block of 4 × 6 × 5 m."""
-    block = trimesh.creation.box((4.0, 6.0, 5.0))
-    block.apply_translation((0.0, 0.0, 2.5))
+BLOCK = trimesh.creation.box((4.0, 6.0, 5.0)).apply_translation((0.0, 0.0, 2.5))
+
+
+@pytest.fixture(scope="module")
+def dataset() -> Dataset:
+    """Of the block."""
     law = ScatteringLaw(floor=1.0, lobe=0.0, exponent=1.0)
-    signals = [simulate_stack(block, view, GRID, STACK, law, ground_gamma0=0.5, noise=0.05) for view in views]
-    seen = [(view, "train") for view in views]
-    return dataset_of(GRID, seen, np.stack(signals), stack=STACK, looks=1.0, ground=True, target="block")
+    signal = simulate_stack(BLOCK, VIEW, GRID, STACK, law, ground_gamma0=0.5, noise=0.05)
+    return dataset_of(GRID, [(VIEW, "train")], signal[None], stack=STACK, looks=1.0, ground=True, target="block")
 
 
 @pytest.mark.parametrize("height_m", [3.0, 8.0, 20.0, 1000.0])
@@ -286,10 +287,9 @@ def test_a_slice_lies_along_the_line_of_sight(azimuth: float) -> None:
     assert np.abs(lines[..., 2]).max() == pytest.approx(1.0)
 
 
-def test_the_page_shows_phase_coherence_and_a_slice(tmp_path) -> None:
-    block = trimesh.creation.box((4.0, 6.0, 5.0))
-    data = write_dataset(tmp_path / "data", dataset(), truth_mesh=block)
-    run = reconstruct(data, replace(preset("stack"), iterations=15), quiet=True)
+def test_the_page_shows_phase_coherence_and_a_slice(dataset: Dataset, tmp_path: Path) -> None:
+    data = write_dataset(tmp_path / "data", dataset, truth_mesh=BLOCK)
+    run = reconstruct(data, replace(preset("stack"), iterations=3), quiet=True)
     text = re.sub(r"base64,[A-Za-z0-9+/=]+", "", write_report(run, tmp_path / "page.html", quiet=True).read_text())
     for words in (
         *("<h2>Phase and coherence</h2>", "<h2>Slice through the layover</h2>", "mean of all 5 passes"),
@@ -305,9 +305,9 @@ def test_the_page_shows_phase_coherence_and_a_slice(tmp_path) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:there is one training view")
-def test_the_page_of_a_run_of_power_alone_shows_neither(tmp_path) -> None:
+def test_the_page_of_a_run_of_power_alone_shows_neither(dataset: Dataset, tmp_path: Path) -> None:
     few = preset("speckled")
     few = replace(few, iterations=1, fewest_gaussians=10, points=replace(few.points, rays_per_pixel=1.0))
-    run = reconstruct(dataset(), few, quiet=True)
+    run = reconstruct(dataset, few, quiet=True)
     text = write_report(run, tmp_path / "page.html", quiet=True).read_text()
     assert "Phase and coherence" not in text and "Slice through" not in text
