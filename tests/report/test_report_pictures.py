@@ -197,13 +197,12 @@ def test_the_nearest_point_of_a_pixel_is_seen_the_last_of_equals(monkeypatch: py
     monkeypatch.setattr("sarsplat.report.boards._BATCH", 64)
     points = np.random.default_rng(0).integers(-1, 11, (500, 3)).astype(float)  # on a lattice, some of them outside
     raster = Raster(np.zeros(3), np.full(3, 10.0), 1.0)
-    for side in SIDES:
+    for side, seen in zip(SIDES, raster.sides(points, size), strict=True):
         painted = np.full((12 + size, 12 + size), -1)
         for point in np.argsort(side.sign * points[:, side.towards], kind="stable"):
             up, across = (int(points[point, axis]) + 1 for axis in (side.up, side.across))
             painted[up : up + size, across : across + size] = point
         first = 1 + size // 2
-        seen = raster.nearest(points, side, size)
         np.testing.assert_array_equal(seen, painted[first : first + 10, first : first + 10][::-1])
 
 

@@ -154,17 +154,14 @@ class Raster:
         """Divide the box into `pixels` along its longest side."""
         return cls(low, high, float((high - low).max()) / pixels)
 
-    def nearest(self, points: Points, side: Side, size: int = 1) -> Seen:
-        """Find the visible points from one side; each point covers `size` × `size` pixels."""
-        sight = Sight(self, side, size)
-        for first in range(0, len(points), _BATCH):
-            sight.add(first, points[first : first + _BATCH].T)
-        return sight.seen
-
-    def sides(self, points: Float[np.ndarray, "p 3"], width_m: float) -> list[Seen]:
+    def sides(self, points: Points, width_m: float) -> list[Seen]:
         """Find the visible points, `width_m` wide, from each of the three sides."""
         size = int(np.clip(np.ceil(width_m / self.pixel_m), 1, _WIDEST))
-        return [self.nearest(points, side, size) for side in SIDES]
+        sights = [Sight(self, side, size) for side in SIDES]
+        for first in range(0, len(points), _BATCH):
+            for sight in sights:
+                sight.add(first, points[first : first + _BATCH].T)
+        return [sight.seen for sight in sights]
 
     def board(
         self, title: str, seen: Sequence[Seen], values: Float[np.ndarray, " p"],

@@ -27,27 +27,18 @@ _LARGEST = 192  # pixels along a side that the page shows of an image
 
 @dataclass(frozen=True)
 class Comparison:
-    """Scores of several runs side by side.
-
-    Attributes
-    ----------
-    runs : tuple of Run
-        Evaluated runs of any methods.
-    names : tuple of str
-        Names of their folders, or their differing settings in a sweep; their paths where names coincide.
-    tables : tuple of ScoreTable
-        A row for every metric, a column for every run.
-    caution : str or None
-        A warning if scores are not comparable or a run is unfinished.
-    beaten : tuple of str
-        A sentence for each run and test set where a baseline is better.
-    """
+    """Scores of several runs side by side."""
 
     runs: tuple[Run, ...]
+    """Evaluated runs of any methods."""
     names: tuple[str, ...]
+    """Names of their folders, or their differing settings in a sweep; their paths where names coincide."""
     tables: tuple[ScoreTable, ...]
+    """A row for every metric, a column for every run."""
     caution: str | None
-    beaten: tuple[str, ...] = ()
+    """A warning if scores are not comparable or a run is unfinished."""
+    beaten: tuple[str, ...]
+    """A sentence for each run and test set where a baseline is better."""
 
 
 @checks_arguments
@@ -79,19 +70,7 @@ def compare(runs: Sequence[Run]) -> Comparison:
 def write_comparison(comparison: Comparison, out: Path, *, overwrite: bool = False) -> Path:
     """Write the comparison as one page that needs no network, `OUT/comparison.html`, and return its path.
 
-    Parameters
-    ----------
-    comparison : Comparison
-        Result of `compare`.
-    out : Path
-        Folder to make.
-    overwrite : bool
-        Replace an existing comparison.
-
-    Raises
-    ------
-    SarsplatError
-        If the dataset of a run is missing, or `out` exists and may not be replaced.
+    Raise if the dataset of a run is missing, or the folder `out` exists and `overwrite` does not allow to replace it.
     """
     definitions: dict[str, str] = {}
     for run in comparison.runs:

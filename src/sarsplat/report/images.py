@@ -229,26 +229,14 @@ def fitted(truth: Images, rendered: Images, looks: float | None, margin: int) ->
 # ---- pixel for pixel ------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Look:
-    """Black and white levels and colour map of displayed power.
-
-    Parameters
-    ----------
-    peak : float
-        The power that is white, or at the upper end of the colours; linear.
-    range_db : float
-        How far below it black, or the lower end of the colours, is, dB.
-    cmap : str
-        Name of a ramp (colours.py) or of a colour map of matplotlib, which all but grey need.
-
-    Raises
-    ------
-    SarsplatError
-        If the range is not positive.
-    """
+    """Black and white levels and colour map of displayed power; raises if the range is not positive."""
 
     peak: float
+    """Linear power that is white, or at the upper end of the colours."""
     range_db: float = DYNAMIC_RANGE_DB
+    """Difference to black, or to the lower end of the colours, dB."""
     cmap: str = POWER
+    """Name of a ramp (colours.py) or of a colour map of matplotlib, which all but grey need."""
 
     def __post_init__(self) -> None:
         if not 0 < self.range_db < math.inf:
@@ -264,15 +252,7 @@ class Look:
 
 
 def decibel_png(power: Real[np.ndarray, "rows columns"], look: Look) -> bytes:
-    """One image as an 8-bit PNG, pixel for pixel, grey or with a palette.
-
-    Parameters
-    ----------
-    power : numpy.ndarray, float [rows, columns]
-        β⁰, linear power.
-    look : Look
-        Which power is white, and which is black.
-    """
+    """Encode β⁰ (linear power) as an 8-bit PNG, pixel for pixel, grey or with a palette."""
     from PIL import Image, PngImagePlugin
 
     low, high = ("black", "white") if look.cmap == POWER else ("lower end", "upper end")

@@ -276,10 +276,9 @@ def _mp4(frames: Sequence[Frame], palette: Palette, durations_ms: list[int]) -> 
 
 
 def write_animation(path: Path, frames: Sequence[Frame], palette: Palette, seconds: float) -> None:
-    """Write frames as a looping animation that takes `seconds`; no partial file is left.
+    """Write frames as an animation that takes `seconds` and loops; of .mp4, the player decides if it loops.
 
-    The player decides if .mp4 loops. Frames have even sides and index into the palette (RGB). Raises
-    `SarsplatError` if the frame rate is too high, a package is missing, or the file cannot be written.
+    Frames have even sides and index into the palette. Raise if they are too many a second, or a package is missing.
     """
     if not _SHORTEST_MS * len(frames) / 1000 <= seconds < 3600:
         raise SarsplatError(
