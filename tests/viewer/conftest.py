@@ -35,7 +35,6 @@ def viewer(finished: Run) -> Iterator[Viewer]:  # noqa: F821
     pytest.importorskip("viser")
     from sarsplat.viewer import Viewer, subject_at
 
-    shown = Viewer(subject_at(finished.folder))
-    assert shown.wait(60)
-    yield shown
-    shown.close()
+    with Viewer(subject_at(finished.folder)) as shown:
+        assert shown.wait(60)
+        yield shown

@@ -2,16 +2,15 @@
 
 import socket
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
 from chromium import chromium
-from sarsplat import View, reconstruct
+from sarsplat import Trainer, View, reconstruct
 from sarsplat.viewer import viewer
-from sarsplat.viewer.subject import scene_of, training_subject
+from sarsplat.viewer.subject import dataset_subject, scene_of, training_subject
 
 pytest.importorskip("viser")
 
@@ -146,42 +145,29 @@ def test_a_watched_training_learns_the_same_bits(dataset, config, finished, monk
 
 
 def test_the_page_shows_the_newest_state(dataset, config):
-    from sarsplat.learning import Trainer
-    from sarsplat.viewer import Viewer
-    from sarsplat.viewer.subject import dataset_subject
-
-    trainer, viewer = Trainer(dataset, config), Viewer(dataset_subject(dataset))
-    pictures = []
-    for _ in range(2):
-        for _ in range(5):
-            trainer.step()
-        viewer.show(training_subject(dataset, trainer))
-        assert viewer.wait(60)
-        pictures.append(viewer._controls._rows[0][1].image.copy())
-    viewer.close()
+    trainer, pictures = Trainer(dataset, config), []
+    with viewer.Viewer(dataset_subject(dataset)) as page:
+        for _ in range(2):
+            for _ in range(5):
+                trainer.step()
+            page.show(training_subject(dataset, trainer))
+            assert page.wait(60)
+            pictures.append(page._controls._rows[0][1].image.copy())
+        assert "10 steps" in page._controls.title.content
     assert pictures[0].shape == pictures[1].shape
     assert not np.array_equal(*pictures)
-    assert "10 steps" in viewer._controls.title.content
 
 
 def test_the_time_that_it_takes_is_a_small_share(monkeypatch):
     clock, cost, shown = [100.0], 0.5, []
 
-    class Slow(viewer.Viewer):
-        def __init__(self) -> None:
-            self._pause_until = 0.0
-
-        def show(self, subject: Any) -> None:
-            shown.append(subject)
-
-        def wait(self, timeout_s: float = 10.0) -> bool:
-            clock[0] += cost
-            return True
+    def draw(timeout_s: float) -> None:
+        clock[0] += cost
 
     monkeypatch.setattr(viewer.time, "monotonic", lambda: clock[0])
-    page = Slow()
+    page = SimpleNamespace(_pause_until=0.0, show=shown.append, wait=draw)
     for _ in range(10_000):
-        page.keep_up(SimpleNamespace)
+        viewer.Viewer.keep_up(page, SimpleNamespace)
         clock[0] += 0.01
     assert len(shown) >= 3
     assert len(shown) * cost <= 0.05 * 10_000 * 0.01 + cost

@@ -23,8 +23,6 @@ _OWN = "reconstruction"
 _MARGIN = 5  # pixels around everything that a mask shows
 _KINDS = {1: "target", 2: "shadow"}
 
-Mask = UInt8[np.ndarray, "rows columns"]
-
 
 @dataclass(frozen=True)
 class Chosen:
@@ -170,7 +168,7 @@ def masks_figure(run: Run) -> Figure | None:
     return Figure("Target and shadow", f"{text}.", (Block("", tuple(panels)),), (power_bar(),), legend="outlines")
 
 
-def _outlines(mask: Mask, whose: str) -> str:
+def _outlines(mask: UInt8[np.ndarray, "rows columns"], whose: str) -> str:
     """The outlines of target and shadow as SVG, in a square that the mask fills."""
     from skimage.measure import find_contours
 

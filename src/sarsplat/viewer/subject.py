@@ -31,13 +31,12 @@ from sarsplat.runs import Run
 from sarsplat.runs.own_gaussians import own_scene
 from sarsplat.scenes import ScatteringLaw, law_by_ground
 from sarsplat.scenes.meshes import read_mesh
+from sarsplat.scenes.surface_samples import surface_samples
 
 TRUTH = "true surface"
 """Name of the cloud of the true surface."""
 
-MAX_POINTS = 60_000
-"""Maximum number of points drawn."""
-
+_MAX_POINTS = 60_000  # maximum number of points drawn
 _ONE_DIRECTION = 1e-12  # tolerance of cosines of equal directions
 _FAINT = 0.05  # optical depth below which a Gaussian is not drawn
 
@@ -123,7 +122,7 @@ class Subject:
         if self.surface is None:
             return []
         places = self.surface.gaussians.means.numpy()
-        return [Cloud(TRUTH, at_most(places), self.grid.cell_m / 2)]
+        return [Cloud(TRUTH, _at_most(places), self.grid.cell_m / 2)]
 
     @cached_property
     def surface(self) -> Surface | None:
@@ -208,10 +207,11 @@ def dataset_subject(dataset: Dataset) -> Subject:
     return Subject(f"{name}: dataset of {dataset.target}", dataset.grid, train.views, white_level(train.power), dataset)
 
 
-def at_most(places: Any, most: int = MAX_POINTS) -> Float32[np.ndarray, "n 3"]:
-    """Choose at most `most` random places, float32 [N, 3]."""
-    places = np.asarray(places, np.float32)
-    return places if len(places) <= most else places[np.random.default_rng(0).permutation(len(places))[:most]]
+def _at_most(places: Float[np.ndarray, "p 3"]) -> Float32[np.ndarray, "n 3"]:
+    """All places, or as many random ones as are drawn."""
+    places = places.astype(np.float32, copy=False)
+    few = len(places) <= _MAX_POINTS
+    return places if few else places[np.random.default_rng(0).permutation(len(places))[:_MAX_POINTS]]
 
 
 # ---- scenes of Gaussians ---------------------------------------------------------------------------------------------
@@ -320,12 +320,10 @@ class RunSubject(Subject):
 
     @cached_property
     def clouds(self) -> list[Cloud]:
-        points = Cloud("surface points", at_most(self.run.points), self.grid.cell_m / 5)
+        points = Cloud("surface points", _at_most(self.run.points), self.grid.cell_m / 5)
         if self.truth is None:
             return [points]
-        import trimesh
-
-        samples, _ = trimesh.sample.sample_surface(self.truth, 30_000, seed=0)
+        samples = surface_samples(self.truth, 30_000, np.random.default_rng(0))
         return [points, Cloud(TRUTH, np.asarray(samples, np.float32), self.grid.cell_m / 5)]
 
     @cached_property
