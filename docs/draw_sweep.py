@@ -18,7 +18,7 @@ from PIL import Image
 from sarsplat import Run, View, radar_frame
 from sarsplat.colours import DARK, HEIGHT, POWER, colormap, ramp, rgb
 from sarsplat.radiometry import DYNAMIC_RANGE_DB, to_db
-from sarsplat.report.boards import Raster, Side
+from sarsplat.report.boards import Raster, Side, Sight
 from sarsplat.report.rendered import asked_grid
 
 OUTPUT = Path(__file__).parent / "images" / "sweep.gif"
@@ -35,7 +35,9 @@ def surface(run: Run, points: np.ndarray, normals: np.ndarray, view: View) -> np
     middle, reach_m = bounds(points)
     raster = Raster(frame @ middle - reach_m, frame @ middle + reach_m, 2 * reach_m / PIXELS)
     width = max(1, round(WIDTH * run.grid.cell_m / raster.pixel_m))
-    seen = raster.nearest(points @ frame.T, FROM_THE_RADAR, width)
+    sight = Sight(raster, FROM_THE_RADAR, width)
+    sight.add(0, frame @ points.T)
+    seen = sight.seen
     lit = AMBIENT + (1 - AMBIENT) * np.clip(normals @ frame.T @ (LIGHT / np.linalg.norm(LIGHT)), 0, 1)
     height = np.clip(points[:, 2] / np.quantile(points[:, 2], 0.999), 0, 1)
     colours = ramp(HEIGHT)[np.rint(255 * height).astype(int), :3] * lit[:, None]
