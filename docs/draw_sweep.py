@@ -36,7 +36,7 @@ def surface(run: Run, points: np.ndarray, normals: np.ndarray, view: View) -> np
     raster = Raster(frame @ middle - reach_m, frame @ middle + reach_m, 2 * reach_m / PIXELS)
     width = max(1, round(WIDTH * run.grid.cell_m / raster.pixel_m))
     sight = Sight(raster, FROM_THE_RADAR, width)
-    sight.add(0, frame @ points.T)
+    sight.add(0, (points @ frame.T).T)
     seen = sight.seen
     lit = AMBIENT + (1 - AMBIENT) * np.clip(normals @ frame.T @ (LIGHT / np.linalg.norm(LIGHT)), 0, 1)
     height = np.clip(points[:, 2] / np.quantile(points[:, 2], 0.999), 0, 1)

@@ -22,10 +22,14 @@ from websockets.asyncio import server as library
 
 
 @pytest.fixture
-def served():
-    picked = []
+def picked() -> list[tuple[float, float]]:
+    return []
+
+
+@pytest.fixture
+def port(picked):
     server = start_server(0, lambda *place: picked.append(place))
-    yield server.get_port(), picked
+    yield server.get_port()
     stop_server(server)
 
 
@@ -38,8 +42,7 @@ def ask(port: int, path: str, **headers: str) -> Any:
     return answer
 
 
-def test_the_page_may_load_nothing_from_elsewhere(served):
-    port, _ = served
+def test_the_page_may_load_nothing_from_elsewhere(port):
     answer = ask(port, "/", Accept_Encoding="gzip")
     assert answer.status == 200
     policy = answer.headers["Content-Security-Policy"]
@@ -49,8 +52,7 @@ def test_the_page_may_load_nothing_from_elsewhere(served):
     assert len(answer.content) == int(answer.headers["Content-Length"])
 
 
-def test_a_click_is_reported_as_parts_of_the_picture_and_what_is_none_is_refused(served):
-    port, picked = served
+def test_a_click_is_reported_as_parts_of_the_picture_and_what_is_none_is_refused(port, picked):
     assert ask(port, "/pick?x=0.25&y=0.5").status == 204
     for words in ("", "?x=1", "?x=a&y=0", "?x=1.5&y=0.5", "?x=nan&y=0.5"):
         assert ask(port, f"/pick{words}").status == 400
@@ -77,9 +79,8 @@ SOCKET += ("Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", "Sec-WebSocket-Protoco
         *("localhost.:{port}", "127.0.0.1:{port}@evil.example", "0.0.0.0:{port}", "[::2]:{port}", "localhost:port"),
     ],
 )
-def test_a_name_that_is_not_this_machines_is_not_answered(served, host, kind):
+def test_a_name_that_is_not_this_machines_is_not_answered(port, picked, host, kind):
     """A stranger's name that was made to mean 127.0.0.1, so that the browser takes its page and ours for one site."""
-    port, picked = served
     host = host.format(port=port)
     path = {"page": "/", "pick": "/pick?x=0.25&y=0.5", "socket": "/"}[kind]
     lines = [f"GET {path} HTTP/1.1", f"Host: {host}", f"Origin: http://{host}", *(SOCKET if kind == "socket" else ())]
@@ -87,17 +88,15 @@ def test_a_name_that_is_not_this_machines_is_not_answered(served, host, kind):
     assert picked == []
 
 
-def test_requests_without_a_name_or_with_two_are_not_answered(served):
-    port, _ = served
+def test_requests_without_a_name_or_with_two_are_not_answered(port):
     for hosts in ([], [f"Host: localhost:{port}", "Host: evil.example"]):
         assert raw(port, "GET / HTTP/1.1", *hosts).startswith((b"HTTP/1.1 403", b"HTTP/1.1 400"))
 
 
 @pytest.mark.parametrize("name", ["127.0.0.1", "localhost", "LOCALHOST", "[::1]"])
 @pytest.mark.parametrize("other_port", [None, 9000])
-def test_pages_and_sockets_of_this_machine_are_answered_also_through_a_tunnel(served, name, other_port):
+def test_pages_and_sockets_of_this_machine_are_answered_also_through_a_tunnel(port, name, other_port):
     """`ssh -L 9000:localhost:8765` shows the page at another port."""
-    port, _ = served
     host = f"{name}:{other_port or port}"
     assert raw(port, "GET / HTTP/1.1", f"Host: {host}").startswith(b"HTTP/1.1 200")
     for origin in ([f"Origin: http://{host}"], []):  # of a browser, and of another program
@@ -110,23 +109,20 @@ def test_pages_and_sockets_of_this_machine_are_answered_also_through_a_tunnel(se
     "origin",
     ["https://evil.example", "null", "http://evil.example:{port}", "http://localhost", "http://127.0.0.1:{port}"],
 )
-def test_pages_of_other_sites_open_no_socket_and_click_nothing(served, origin):
+def test_pages_of_other_sites_open_no_socket_and_click_nothing(port, picked, origin):
     """Nor those of another program on this machine, which another port or name tells apart."""
-    port, picked = served
     lines = [f"Host: localhost:{port}", f"Origin: {origin.format(port=port)}"]
     assert raw(port, "GET / HTTP/1.1", *lines, *SOCKET).startswith(b"HTTP/1.1 403")
     assert raw(port, "GET /pick?x=0.25&y=0.5 HTTP/1.1", *lines).startswith(b"HTTP/1.1 403")
     assert picked == []
 
 
-def test_no_other_machine_can_connect(served):
-    port, _ = served
+def test_no_other_machine_can_connect(port):
     with socket.socket(socket.AF_INET) as probe:  # every other address of this machine is another interface
         assert probe.connect_ex(("127.0.0.2", port)) != 0
 
 
-def test_a_port_in_use_is_refused_and_not_replaced_by_the_next(served):
-    port, _ = served
+def test_a_port_in_use_is_refused_and_not_replaced_by_the_next(port):
     with pytest.raises(SarsplatError, match=rf"^port {port} of this machine cannot be used \(.*\); choose another"):
         start_server(port, lambda *place: None)
     for none in (-1, 65536):
