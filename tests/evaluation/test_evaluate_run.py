@@ -256,15 +256,12 @@ def test_weights_give_lpips(make):
     assert "images.test-17.lpips" not in metrics["reasons"]
 
 
-def only_training(path: Path, mesh) -> Dataset:
-    return write_dataset(path, dataset_of(GRID, [(View(0, 45), "train")], image(0)[None]), truth_mesh=mesh)
-
-
 @pytest.mark.parametrize(("mesh", "points"), [(CUBE, ON_THE_TOP), (None, ON_THE_TOP), (CUBE, np.empty((0, 3)))])
 def test_without_test_views_points_and_the_run_itself_are_scored(tmp_path, make, mesh, points):  # make: coarse surfaces
     """Measured data have neither test images nor a mesh, but training images that show what points lack."""
     scored = mesh is not None and len(points) > 0
-    run = fake_run(only_training(tmp_path / "dataset", mesh), points=points)
+    only_training = dataset_of(GRID, [(View(0, 45), "train")], image(0)[None])
+    run = fake_run(write_dataset(tmp_path / "dataset", only_training, truth_mesh=mesh), points=points)
     few = "made from views that cannot determine the shape"
     with pytest.warns(SarsplatWarning, match=few) if scored else nullcontext():
         metrics = evaluate_run(run)
