@@ -21,7 +21,7 @@ from torch import Tensor
 
 from sarsplat.data import Dataset
 from sarsplat.evaluation.images import UndefinedScore
-from sarsplat.geometry import ImageGrid, RayGrid
+from sarsplat.geometry import RayGrid
 from sarsplat.learning.batching import in_groups
 from sarsplat.learning.model import SceneModel
 from sarsplat.radiometry import to_db, usual_peak
@@ -154,11 +154,13 @@ def missing(run: Run) -> Float64[np.ndarray, "k 3"]:
         view, number = model.frame.views[k], torch.tensor([k], device=model.device)
         with torch.no_grad():
             image, _ = without.render([view], grid, degree, rays=rays, numbers=number)
-        rendered = channel_of(image, model.power_channel).cpu().numpy()
+        true = smoothed(train.power[[k]], grid)
+        rendered = smoothed(channel_of(image, model.power_channel).cpu().numpy(), grid)
+        dark = max(np.median(true), faint)  # added to both, so that the ratio is near 0 dB where both are dark
+        excess_db = to_db(true + dark, rendered + dark)[0]
         shift = model.shot([view], grid, number).shift
         dx, dy = (0.0, 0.0) if shift is None else shift[0].tolist()
         displaced = replace(grid, center_m=(grid.center_m[0] - dx, grid.center_m[1] - dy))
-        excess_db = _excess_db(train.power[[k]], rendered, grid, faint)[0]
         mean_db += np.nan_to_num(values_at(excess_db, view, displaced, places)) / len(chosen)
     least_db = max(_EXCESS_DB, _SURE_EXCESS * typical(mean_db)[1])
     return places[tuple(_middles(mean_db, least_db).T)]
@@ -182,15 +184,3 @@ def _without_far(run: Run) -> SceneModel:
         far = np.isinf(cKDTree(run.points).query(means, distance_upper_bound=_REACH * model.frame.grid.cell_m)[0])
     model.parameters["optical_depth"].data[torch.from_numpy(far).to(model.device)] = 0.0
     return model
-
-
-def _excess_db(
-    power: Float32[np.ndarray, "v rows columns"],
-    expected: Float32[np.ndarray, "v rows columns"],
-    grid: ImageGrid,
-    faint: float,
-) -> Float64[np.ndarray, "v rows columns"]:
-    """Ratio of smoothed images to smoothed renderings, dB; near 0 where both are dark."""
-    smooth, rendered = smoothed(power, grid), smoothed(expected, grid)
-    dark = np.maximum(np.median(smooth, axis=(1, 2), keepdims=True), faint)
-    return to_db(smooth + dark, rendered + dark)

@@ -162,16 +162,11 @@ def _scene(mesh: Trimesh) -> EmbreeScene:
     return scene
 
 
-def _towards(direction: Float64[np.ndarray, " 3"]) -> Float32[np.ndarray, "1 3"]:
-    """Direction of all rays of a batch, float32 [1, 3]."""
-    return direction.astype(np.float32)[None]
-
-
 def _first_hits(scene: EmbreeScene, mesh: Trimesh, view: View, spacing: float) -> Bool[np.ndarray, " t"]:
     """Mask of the triangles that rays of a view hit first."""
-    hit = np.zeros(len(mesh.faces), dtype=bool)
+    hit, away = np.zeros(len(mesh.faces), dtype=bool), (-view.look.facing).astype(np.float32)[None]
     for origins in _lattice(np.asarray(mesh.vertices), view, spacing):
-        numbers = scene.run(origins, _towards(-view.look.facing))
+        numbers = scene.run(origins, away)
         hit[numbers[numbers >= 0]] = True
     return hit
 
@@ -209,7 +204,7 @@ def _seen(
     hidden = np.arange(len(points))
     for view in views:
         origins = (points[hidden] + lift * view.look.facing).astype(np.float32)
-        hidden = hidden[scene.run(origins, _towards(view.look.facing), query="OCCLUDED") >= 0]
+        hidden = hidden[scene.run(origins, view.look.facing.astype(np.float32)[None], query="OCCLUDED") >= 0]
         if len(hidden) == 0:
             break
     return np.bincount(hidden, minlength=len(points)) == 0

@@ -1,7 +1,7 @@
 """Assemble and write a report."""
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -55,14 +55,17 @@ def write_report(run: Run, out: str | Path | None = None, *, quiet: bool = False
         If the run's dataset is missing, it is in memory and `out` is not given, `RUN/report` is a link, a file cannot
         be written or another process is writing the run.
     """
-    if out is not None:
-        path = Path(out)
-        if path.is_dir():
-            raise SarsplatError(f"{path} is a folder; give the name of the page, such as {path / 'report.html'}")
-        return _written(path, _html(run, quiet))
-    refuse_linked_report(run.folder)
-    with only_writer(run.folder):
-        return _written(run.folder / _FOLDER / "index.html", _html(run, quiet))
+    if out is None:
+        refuse_linked_report(run.folder)
+    path = run.folder / _FOLDER / "index.html" if out is None else Path(out)
+    if path.is_dir():
+        raise SarsplatError(f"{path} is a folder; give the name of the page, such as {path / 'report.html'}")
+    with only_writer(run.folder) if out is None else nullcontext():
+        html = _html(run, quiet)
+        with plain_os_errors("write", path.parent):
+            path.parent.mkdir(parents=True, exist_ok=True)
+        write_bytes(path, html)
+    return path
 
 
 def _html(run: Run, quiet: bool) -> bytes:
@@ -86,13 +89,6 @@ def _html(run: Run, quiet: bool) -> bytes:
         training = [curves_figure(run.history, *run.loss_title) if run.history else None, azimuths_figure(run)]
         before_scores, after_scores = ([one for one in drawn if one is not None] for drawn in (figures, training))
         return page(run, before_scores, after_scores, turning[0]).encode()
-
-
-def _written(path: Path, html: bytes) -> Path:
-    with plain_os_errors("write", path.parent):
-        path.parent.mkdir(parents=True, exist_ok=True)
-    write_bytes(path, html)
-    return path
 
 
 def refuse_linked_report(run: Path) -> None:
