@@ -43,7 +43,7 @@ def contact_sheet(
 ) -> bytes:
     """Draw images of β⁰ (linear power) in decibels, cropped to the target, with view, scale and radar, as PNG.
 
-    At most 96 images are shown, evenly spaced in their order; the sheet says so. Raise if there are none.
+    At most 96 images are shown, evenly spaced in their order; the sheet says so. Raise without any image.
     """
     if len(images) == 0:
         raise SarsplatError("there are no images to put on a contact sheet; give at least one")
