@@ -14,7 +14,7 @@ import torch
 
 from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.renderer.engines.abi import HEADER, api
-from sarsplat.renderer.engines.passes import within
+from sarsplat.renderer.engines.passes import within_limits
 
 LIBRARY = Path(__file__).parents[1] / ("_engine.dll" if sys.platform == "win32" else "_engine.so")
 """Compiled engine."""
@@ -28,9 +28,6 @@ _INPUTS = ("means", "quaternions", "scales", "optical_depth", "scattering", "amp
 _FOOTPRINTS = ("centers", "roots", "optical_depth", "range_m", "tilt", "cross_sections", "slopes")
 FAULTS = ("", *_INPUTS, "lattice", "memory", *_FOOTPRINTS)
 """Inputs and other causes that a pass can reject, by status code."""
-
-LIMITS: dict[str, dict[str, float]] = {"adam": {"columns": 16}, "stack_likelihood": {"passes": 16}}
-"""Maxima of numbers that an operation supports."""
 
 _NO_MEMORY = "there is not enough memory for the rendering; render fewer views at a time or use coarser rays"
 
@@ -163,7 +160,7 @@ class Pass:
         self._call(f"{step}_backward", problem, *arguments)
 
     def has(self, operation: str, numbers: Mapping[str, Any]) -> bool:
-        return operation in self._functions and within(LIMITS.get(operation, {}), numbers)
+        return operation in self._functions and within_limits(operation, numbers)
 
     def run(self, operation: str, call: ctypes.Structure) -> None:
         self._call(operation, call)

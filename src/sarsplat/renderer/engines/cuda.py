@@ -14,7 +14,7 @@ from sarsplat.renderer.engines.bounds import LEFT_BOUNDS
 from sarsplat.renderer.engines.cuda_device import THREADS
 from sarsplat.renderer.engines.cuda_operations import OPERATIONS
 from sarsplat.renderer.engines.cuda_tiles import TileLists, fault_of, total
-from sarsplat.renderer.engines.passes import within
+from sarsplat.renderer.engines.passes import within_limits
 
 _WARPS, _PAIR_FLOATS = 8, 23  # as in csrc/cuda_state.cuh and cuda_project.cuh
 _MAX_CHANNELS = 4  # maximum channels of a launch, as in csrc/cuda_pixels.cuh
@@ -42,10 +42,10 @@ class Pass(TileLists):
         self.launch("trace_tiles", total(self._rays)[1], problem, self._state, c_float(depth), *arrays)
 
     def has(self, operation: str, numbers: Mapping[str, Any]) -> bool:
-        return operation in OPERATIONS and within(OPERATIONS[operation].limits, numbers)
+        return operation in OPERATIONS and within_limits(operation, numbers)
 
     def run(self, operation: str, call: ctypes.Structure) -> None:
-        OPERATIONS[operation].run(self, call)
+        OPERATIONS[operation](self, call)
 
     # ---- a whole rendering
     def _render(self, problem: ctypes.Structure, outputs: ctypes.Structure) -> tuple[str, int]:

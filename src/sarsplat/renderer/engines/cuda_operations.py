@@ -1,9 +1,8 @@
 """Operations on a GPU: arrays and launches. To add one, write a function and list it in `OPERATIONS`."""
 
 import ctypes
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from ctypes import c_int32, c_int64, c_void_p
-from dataclasses import dataclass, field
 from typing import Any
 
 import torch
@@ -11,7 +10,6 @@ from torch import Tensor
 
 from sarsplat.renderer.engines.abi import SOURCES, api, structures
 from sarsplat.renderer.engines.bounds import TILE
-from sarsplat.renderer.engines.cpu import LIMITS
 from sarsplat.renderer.engines.cuda_device import THREADS, Arrays
 
 _MOST_GROUPS, _WINDOW = 15, 11
@@ -169,19 +167,11 @@ def _blocks(rows: int, columns: int) -> int:
 
 
 # ---- all of them -----------------------------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class Operation:
-    """Function that fills in the structure of an operation, and maxima of its numbers."""
-
-    run: Callable[[Arrays, ctypes.Structure], None]
-    limits: Mapping[str, float] = field(default_factory=dict)
-
-
-OPERATIONS = {
-    "adam": Operation(_adam, LIMITS["adam"]),
-    "amplitude_loss": Operation(_amplitude_loss),
-    "lit_ground": Operation(_lit_ground),
-    "lit_terrain": Operation(_lit_terrain),
-    "normal_lobes": Operation(_normal_lobes),
+OPERATIONS: dict[str, Callable[[Arrays, ctypes.Structure], None]] = {
+    "adam": _adam,
+    "amplitude_loss": _amplitude_loss,
+    "lit_ground": _lit_ground,
+    "lit_terrain": _lit_terrain,
+    "normal_lobes": _normal_lobes,
 }
-"""Operations with kernels, by their names in csrc/api.h."""
+"""Functions that fill in the structure of an operation, by the operation's name in csrc/api.h."""

@@ -38,6 +38,10 @@ NewPass = Callable[..., Pass]
 """Constructor of an engine's passes; the CUDA engine's accepts a `Capacity`."""
 
 
-def within(limits: Mapping[str, float], numbers: Mapping[str, Any]) -> bool:
-    """Return True if numbers are within their limits."""
-    return all(numbers[name] <= most for name, most in limits.items())
+_LIMITS: dict[str, dict[str, float]] = {"adam": {"columns": 16}, "stack_likelihood": {"passes": 16}}
+"""Maxima of numbers that an operation supports."""
+
+
+def within_limits(operation: str, numbers: Mapping[str, Any]) -> bool:
+    """Return True if the kernels of an operation, on any engine, support its numbers."""
+    return all(numbers[name] <= most for name, most in _LIMITS.get(operation, {}).items())
