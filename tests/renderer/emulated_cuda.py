@@ -27,7 +27,7 @@ from sarsplat.renderer import Bounds, Rendering
 from sarsplat.renderer.echoes import Echo, GroundEcho
 from sarsplat.renderer.engines import choice, cuda, on_device
 from sarsplat.renderer.engines.abi import SOURCES
-from sarsplat.renderer.engines.cuda_device import Launcher
+from sarsplat.renderer.engines.cuda_device import Device
 from sarsplat.renderer.operations import render_with
 
 HERE = Path(__file__).with_name("emulator")
@@ -152,7 +152,7 @@ def on_emulated_gpu(
 
 
 def render_on(
-    launcher: Launcher,
+    launcher: Emulator | Device,
     gaussians: Gaussians,
     views: Sequence[View],
     grid: ImageGrid,
@@ -171,7 +171,7 @@ def render_on(
     return render_with(new_pass, gaussians, views, grid, rays=rays, bounds=kept, **options)
 
 
-# ---- what `CudaRecorder` does: operations of torch and launches, recorded and run again ------------------------------
+# ---- what `Recorder` does: operations of torch and launches, recorded and run again ------------------------------
 T = TypeVar("T")
 
 _FROM_THE_CPU = ("_local_scalar_dense", "lift_fresh", "nonzero", "is_nonzero", "equal", "masked_select", "pin_memory")

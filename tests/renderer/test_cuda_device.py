@@ -22,7 +22,6 @@ from sarsplat.errors import SarsplatError, SarsplatWarning
 from sarsplat.learning import device_choice as training_device
 from sarsplat.renderer.engines import choice, cuda, cuda_device, nvrtc, trial
 from sarsplat.renderer.engines.abi import api
-from sarsplat.renderer.engines.cuda_device import Launcher
 from sarsplat.renderer.operations import Steps
 
 CPU = torch.device("cpu")
@@ -171,7 +170,7 @@ class Trials:
         self.gpu, self.count = gpu, 0
         usual = trial._disagreement
 
-        def counted(launcher: Launcher) -> str:
+        def counted(launcher: cuda_device.Device) -> str:
             self.count += 1
             return usual(launcher)
 

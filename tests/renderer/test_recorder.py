@@ -11,7 +11,7 @@ from emulated_cuda import EmulatedRecorder, Emulator
 
 from sarsplat.renderer.engines import on_device, recorder
 from sarsplat.renderer.engines.on_device import NotRecordable, kept_on_device
-from sarsplat.renderer.engines.recorder import MOST_WORDS, CudaRecorder, Told
+from sarsplat.renderer.engines.recorder import MOST_WORDS, Recorder, Told
 
 CPU = torch.device("cpu")
 
@@ -64,7 +64,7 @@ def gpu(log: Log) -> SimpleNamespace:
 
 
 def test_a_program_is_recorded_on_a_stream_of_its_own_and_run_on_the_usual_one(log, gpu):
-    recorder = CudaRecorder(gpu)
+    recorder = Recorder(gpu)
     assert recorder.rehearse(lambda: log.append("program") or 3) == 3
     around = ["own waits", "on the own stream"], ["back", "usual waits"]
     assert log == [*around[0], "program", *around[1]]
@@ -80,20 +80,20 @@ def test_a_program_is_recorded_on_a_stream_of_its_own_and_run_on_the_usual_one(l
 
 
 def test_recorders_have_a_stream_each_and_hand_it_on(log, gpu):
-    first, second = CudaRecorder(gpu), CudaRecorder(gpu)
+    first, second = Recorder(gpu), Recorder(gpu)
     streams = first._stream, second._stream
     assert streams[0] is not streams[1]
     _, run = first.record(lambda: None)
     del first
-    assert CudaRecorder(gpu)._stream not in streams  # whoever can run it holds the recorder
+    assert Recorder(gpu)._stream not in streams  # whoever can run it holds the recorder
     del run
     log.clear()
-    assert CudaRecorder(gpu)._stream is streams[0]
+    assert Recorder(gpu)._stream is streams[0]
     assert log == ["own waits"]  # for what may still be running
 
 
 def test_graphs_leave_only_when_nobody_records(log, gpu):
-    first, second = CudaRecorder(gpu), CudaRecorder(gpu)
+    first, second = Recorder(gpu), Recorder(gpu)
     first.record(lambda: None)
 
     def program() -> None:
@@ -104,7 +104,7 @@ def test_graphs_leave_only_when_nobody_records(log, gpu):
 
     second.record(program)
     assert recorder._RETIRED == []
-    third = CudaRecorder(gpu)
+    third = Recorder(gpu)
     third.record(lambda: None)
     del third
     assert recorder._RETIRED == []
@@ -117,13 +117,13 @@ def test_a_record_that_fails_is_ended_and_says_why(fails, log, gpu):
         raise NotRecordable("no")
 
     with pytest.raises(NotRecordable, match="no"):
-        CudaRecorder(gpu).record(program)
+        Recorder(gpu).record(program)
     assert "end" in log
 
 
 def test_the_latest_record_keeps_what_it_reads_of_all_that_is_kept(log, gpu):
     table = kept_on_device(maxsize=1)(lambda size, device: torch.arange(size, device=device))
-    recorder = CudaRecorder(gpu)
+    recorder = Recorder(gpu)
     recorder.record(lambda: [table(3, CPU)].clear())
     read = weakref.ref(table(3, CPU))
     table(4, CPU)  # the only one that is kept

@@ -14,7 +14,7 @@ from sarsplat.renderer.checks import check_for_cpu, check_for_cuda
 from sarsplat.renderer.engines import cpu, cuda
 from sarsplat.renderer.engines.cuda_device import device, require_cuda
 from sarsplat.renderer.engines.passes import NewPass
-from sarsplat.renderer.engines.recorder import CudaRecorder, Recorder
+from sarsplat.renderer.engines.recorder import Recorder
 from sarsplat.renderer.engines.trial import objection
 
 Tensors = Mapping[str, Tensor | None]
@@ -47,7 +47,7 @@ def _on_cuda(tensors: Tensors, grid: ImageGrid | None) -> NewPass:
 
 
 def _recorder(where: torch.device) -> Recorder:
-    return CudaRecorder(device(where.index or 0))
+    return Recorder(device(where.index or 0))
 
 
 ENGINES = {

@@ -8,7 +8,6 @@ import threading
 from contextlib import nullcontext
 from ctypes import POINTER, byref, c_char_p, c_int, c_uint, c_void_p
 from functools import cache
-from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -24,15 +23,6 @@ _NON_BLOCKING = 1  # flag of streams that do not synchronise with the legacy def
 _COMPILING = threading.Lock()  # lock of the first use of a GPU: one thread compiles
 
 _DRIVER = "nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1"
-
-
-class Launcher(Protocol):
-    """Launcher of kernels: a GPU, or the tests' emulator."""
-
-    device: torch.device
-
-    def launch(self, name: str, blocks: int, threads: int, *arguments: ctypes._CData) -> None:
-        """Queue a kernel after those before it; its arguments are C values."""
 
 
 class Device:
@@ -57,7 +47,7 @@ class Device:
         self.description = f"{torch.cuda.get_device_name(device)}, sm_{major}{minor}, driver of CUDA {version.value}"
 
     def launch(self, name: str, blocks: int, threads: int, *arguments: ctypes._CData) -> None:
-        """Queue a kernel; its arguments are C values."""
+        """Queue a kernel after those before it; its arguments are C values."""
         elsewhere = torch.cuda.current_device() != self.device.index
         with torch.cuda.device(self.device) if elsewhere else nullcontext():
             self._check(self._driver.cuCtxSetCurrent(self._context))  # threads of autograd may not have it yet
@@ -132,7 +122,7 @@ def _driver() -> ctypes.CDLL:
 class Arrays:
     """Arrays by name, kept while kernels may read them, and the launcher of kernels."""
 
-    def __init__(self, launcher: Launcher) -> None:
+    def __init__(self, launcher: Device) -> None:
         self.launcher = launcher
         self.arrays: dict[str, Tensor] = {}
 

@@ -15,7 +15,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.renderer.engines.abi import SOURCES, api, structures
 from sarsplat.renderer.engines.bounds import TILE, Capacity
 from sarsplat.renderer.engines.cpu import FAULTS
-from sarsplat.renderer.engines.cuda_device import THREADS, Arrays, Launcher
+from sarsplat.renderer.engines.cuda_device import THREADS, Arrays, Device
 
 _structures = structures((SOURCES / "cuda_state.cuh").read_text(encoding="utf-8"), ("Lattice", "Plane", "State"))
 ViewLattice, State = _structures["Lattice"], _structures["State"]
@@ -36,7 +36,7 @@ class TileLists(Arrays):
     With a capacity nothing is read back from the device.
     """
 
-    def __init__(self, launcher: Launcher, capacity: Capacity | None = None) -> None:
+    def __init__(self, launcher: Device, capacity: Capacity | None = None) -> None:
         super().__init__(launcher)
         self._capacity = capacity
         self._state = State()

@@ -11,7 +11,6 @@ from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from threading import get_ident
-from typing import Protocol
 
 import torch
 
@@ -41,15 +40,6 @@ else:
 _REMEDY = "install a torch built for CUDA, which brings it along, or use the CPU"
 
 
-class Compiler(Protocol):
-    """Compiler of machine code: NVRTC, except in tests."""
-
-    version: str
-
-    def compile(self, sources: Mapping[str, str], architecture: str) -> bytes:
-        """Compile `MAIN`, which includes the other sources by name, to machine code."""
-
-
 def sources() -> dict[str, str]:
     """Read every file that the engine's source includes, by name."""
     paths = (SOURCES / MAIN, *sorted(SOURCES.glob("cuda_*.cuh")))
@@ -57,7 +47,7 @@ def sources() -> dict[str, str]:
     return {path.name: path.read_text(encoding="utf-8") for path in (*paths, *shared)} | {"cstdint": _CSTDINT}
 
 
-def machine_code(architecture: str, compiler: Compiler) -> bytes:
+def machine_code(architecture: str, compiler: "Nvrtc") -> bytes:
     """Return the engine for one architecture ("sm_90"), from the user's cache folder or compiled now."""
     text = sources()
     key = hashlib.sha256(repr((sorted(text.items()), architecture, compiler.version, _OPTIONS)).encode()).hexdigest()
@@ -78,7 +68,7 @@ class Nvrtc:
         self.version, self.log = f"{major.value}.{minor.value}", ""
 
     def compile(self, sources: Mapping[str, str], architecture: str, *more: str) -> bytes:
-        """Compile to machine code with `more` options; the compiler's output is in `log` and in errors."""
+        """Compile `MAIN` and the headers beside it, with `more` options; the output is in `log` and in errors."""
         headers = [name for name in sources if name != MAIN]
         texts = (c_char_p * len(headers))(*(sources[name].encode() for name in headers))
         names = (c_char_p * len(headers))(*(name.encode() for name in headers))

@@ -4,12 +4,12 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from ctypes import c_int32, c_void_p
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import torch
 from torch import Tensor
 
-from sarsplat.renderer.engines.cuda_device import Device, Launcher
+from sarsplat.renderer.engines.cuda_device import Device
 from sarsplat.renderer.engines.on_device import read_meanwhile
 
 T = TypeVar("T")
@@ -26,24 +26,7 @@ _IDLE: dict[torch.device, list[tuple[torch.cuda.Stream, torch.cuda.Stream | None
 """Streams of deleted recorders, and the streams on which their records may still run."""
 
 
-class Recorder(Protocol):
-    """Recorder of one device: a GPU, or the tests' emulation of one."""
-
-    @property
-    def launcher(self) -> Launcher:
-        """Launcher of the device."""
-
-    def rehearse(self, program: Callable[[], T]) -> T:
-        """Run a program on the stream of recordings, so that all caches are filled."""
-
-    def record(self, program: Callable[[], T]) -> tuple[T, Callable[[], None]]:
-        """Record a program without running it.
-
-        Return its tensors, and a function that replays it on the same memory, until another program is recorded.
-        """
-
-
-class CudaRecorder:
+class Recorder:
     """Recorder of one GPU, by CUDA graphs.
 
     It has its own stream, so that launches of other threads are not recorded; tensors cached on the device for it
@@ -71,7 +54,7 @@ class CudaRecorder:
                 _RECORDING.release()
 
     def rehearse(self, program: Callable[[], T]) -> T:
-        """As `Recorder.rehearse`."""
+        """Run a program on the stream of recordings, so that all caches are filled."""
         self._usual = usual = torch.cuda.current_stream(self.launcher.device)
         self._stream.wait_stream(usual)
         with torch.cuda.stream(self._stream):
@@ -80,7 +63,10 @@ class CudaRecorder:
         return result
 
     def record(self, program: Callable[[], T]) -> tuple[T, Callable[[], None]]:
-        """As `Recorder.record`. Programs share their memory: only the latest may be replayed."""
+        """Record a program without running it.
+
+        Return its tensors, and a function that replays it on the same memory, until another program is recorded.
+        """
         graph = torch.cuda.CUDAGraph()
 
         def recorded() -> T:

@@ -11,7 +11,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Harmonics
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.engines import cpu, cuda, nvrtc
-from sarsplat.renderer.engines.cuda_device import Launcher, device, require_cuda
+from sarsplat.renderer.engines.cuda_device import Device, device, require_cuda
 from sarsplat.renderer.engines.passes import NewPass
 from sarsplat.renderer.engines.stages import Render
 
@@ -45,7 +45,7 @@ def objection(where: torch.device) -> str:
     return verdict.decode()
 
 
-def _disagreement(launcher: Launcher) -> str:
+def _disagreement(launcher: Device) -> str:
     expected = _rendered(partial(cpu.Pass, "auto"), torch.device("cpu"))
     try:
         computed = _rendered(partial(cuda.Pass, launcher), launcher.device)
