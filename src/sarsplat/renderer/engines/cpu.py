@@ -24,9 +24,11 @@ INSTRUCTION_SETS = ("auto", "base", "avx2", "avx512")
 
 _TORCH = {"win32": "torch_cpu.dll", "darwin": "libtorch_cpu.dylib"}.get(sys.platform, "libtorch_cpu.so")
 
-_INPUTS = ("means", "quaternions", "scales", "optical_depth", "scattering", "amplitudes", "shift")
+INPUTS = ("means", "quaternions", "scales", "optical_depth", "scattering", "amplitudes", "shift")
+"""Names of the inputs of a rendering, for errors."""
+
 _FOOTPRINTS = ("centers", "roots", "optical_depth", "range_m", "tilt", "cross_sections", "slopes")
-FAULTS = ("", *_INPUTS, "lattice", "memory", *_FOOTPRINTS)
+FAULTS = ("", *INPUTS, "lattice", "memory", *_FOOTPRINTS)
 """Inputs and other causes that a pass can reject, by status code."""
 
 _NO_MEMORY = "there is not enough memory for the rendering; render fewer views at a time or use coarser rays"

@@ -50,8 +50,8 @@ class Call(ABC):
     """True for inputs that need a gradient."""
 
     @abstractmethod
-    def forward(self, inputs: Tensors) -> tuple[Tensor, ...]:
-        """Compute the outputs."""
+    def forward(self, inputs: Sequence[Any]) -> tuple[Tensor, ...]:
+        """Compute the outputs; inputs that are not given are None."""
 
     @abstractmethod
     def backward(self, saved: list[Any], grads: Tensors) -> Tensors:
@@ -110,7 +110,7 @@ class Operation(Call):
                 return outputs[0] if len(outputs) == 1 else outputs
         return self.plain(*inputs)
 
-    def forward(self, inputs: Tensors) -> tuple[Tensor, ...]:
+    def forward(self, inputs: Sequence[Any]) -> tuple[Tensor, ...]:
         outputs = self.outputs(*inputs)
         self._shapes = {name: tensor.shape for name, tensor in outputs.items()}
         self._at_once = self._new_gradients(inputs) if self.at_once else {}

@@ -1,7 +1,6 @@
 """Problems: C structures of a call's arrays, grids and limits."""
 
 import ctypes
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -18,7 +17,7 @@ from sarsplat.renderer.engines.abi import api
 from sarsplat.renderer.engines.on_device import by_view, kept_on_device
 
 ARRAYS = ("means", "quaternions", "scales", "kappa", "harmonics", "amplitudes", "shift")
-"""Names of the inputs in a problem."""
+"""Members of a problem for the inputs of a rendering."""
 
 
 def pointer(tensor: Tensor | None) -> int | None:
@@ -51,16 +50,16 @@ def frame_of(view: View, dtype: torch.dtype, device: torch.device) -> Float[Tens
 
 
 @kept_on_device(maxsize=4096)
-def flat_frame(view: View, device: torch.device) -> Float[Tensor, "3 3"]:
+def flat_frame(view: View, dtype: torch.dtype, device: torch.device) -> Float[Tensor, "3 3"]:
     """Return the frame (azimuth, height, range) in which a place has azimuth and range of its foot at z = 0."""
     along, away = view.look.gradients * (1.0, 1.0, 0.0)
-    return torch.from_numpy(np.stack([along, np.cross(along, away), away])).float().to(device)
+    return torch.from_numpy(np.stack([along, np.cross(along, away), away])).to(device, dtype)
 
 
 @kept_on_device(maxsize=4096)
-def mirrored_frame(view: View, device: torch.device) -> Float[Tensor, "3 3"]:
+def mirrored_frame(view: View, dtype: torch.dtype, device: torch.device) -> Float[Tensor, "3 3"]:
     """Return the frame in which a scene has the coordinates of its mirror image (z = 0) in the view's frame."""
-    return torch.from_numpy(view.look.frame * (1.0, 1.0, -1.0)).float().to(device)
+    return torch.from_numpy(view.look.frame * (1.0, 1.0, -1.0)).to(device, dtype)
 
 
 @kept_on_device(maxsize=4096)
@@ -91,28 +90,6 @@ def basis_of(view: View, degree: int, level: bool, device: torch.device) -> Floa
 def _level(view: View) -> Float[np.ndarray, " 3"]:
     flat = view.look.facing * (1.0, 1.0, 0.0)
     return flat / np.linalg.norm(flat)
-
-
-def problem_of(
-    inputs: Sequence[Tensor | None],
-    views: Sequence[View],
-    grid: ImageGrid,
-    rays: RayGrid,
-    p_min: float,
-    peak: bool = False,
-) -> tuple[ctypes.Structure, tuple[Tensor | None, ...]]:
-    """Return the problem of a call, and tensors that must outlive it."""
-    means, _, _, _, harmonics, amplitudes, _ = inputs
-    assert means is not None
-    degree = 0 if harmonics is None else math.isqrt(harmonics.shape[1]) - 1
-    frames = by_view(frame_of, views, means.dtype, means.device)
-    basis = None if harmonics is None else by_view(basis_of, views, degree, False, means.device)
-    problem = new_problem(len(views), len(means), grid=grid, rays=rays, peak=peak)
-    problem.coefficients = 0 if harmonics is None else harmonics.shape[1]
-    problem.channels = 1 if amplitudes is None else amplitudes.shape[2]
-    problem.frames, problem.basis, problem.p_min = pointer(frames), pointer(basis), p_min
-    point_at(problem, inputs)
-    return problem, (frames, basis)
 
 
 _LIMITS = api.problem(

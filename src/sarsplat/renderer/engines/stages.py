@@ -1,7 +1,7 @@
 """Renderings and their steps as engine calls on plain tensors, with messages about rejected inputs."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 import torch
@@ -12,7 +12,7 @@ from sarsplat.errors import SarsplatError
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.renderer.checks import complaint
 from sarsplat.renderer.engines.abi import api
-from sarsplat.renderer.engines.cpu import FAULTS
+from sarsplat.renderer.engines.cpu import INPUTS
 from sarsplat.renderer.engines.on_device import by_view
 from sarsplat.renderer.engines.operation import Call, Tensors
 from sarsplat.renderer.engines.passes import Pass
@@ -20,12 +20,12 @@ from sarsplat.renderer.engines.problem import (
     ARRAYS,
     basis_of,
     flat_frame,
+    frame_of,
     mirror_offset,
     mirrored_frame,
     new_problem,
     point_at,
     pointer,
-    problem_of,
 )
 from sarsplat.renderer.rendering import deviations
 
@@ -35,44 +35,70 @@ _WIDTHS = (2, 3, None, None, 2, 2, 3, None)  # of the tensors [V, N, …] of a p
 class Stage(Call):
     """Call whose backward pass uses the state of its forward pass."""
 
+    rays: RayGrid
+
+    of_pairs: ClassVar[bool] = True
+    """True if inputs have a row for each view and Gaussian."""
+
     def __init__(self, kernel: Pass) -> None:
         self.kernel = kernel
+
+    def extent(self, inputs: Sequence[Any], view: int) -> tuple[Tensor, Tensor]:
+        """Return the distance of the farthest Gaussian from the scene centre, and the width of the widest, m."""
+        raise NotImplementedError
+
+    def accept(self, inputs: Sequence[Any], fault: str, index: int) -> None:
+        """Raise if the kernel rejected an input."""
+        if fault == "lattice":
+            reach_m, width_m = map(float, self.extent(inputs, index))
+            raise SarsplatError(
+                f"view {index} would need too many rays at a spacing of {self.rays.spacing_m} m: the Gaussians reach "
+                f"{reach_m:.4g} m from the scene centre and are up to {width_m:.4g} m wide; remove distant or wide "
+                "ones, or use coarser rays"
+            )
+        for name, tensor in zip(self.names, inputs, strict=True):
+            if fault and name.rpartition(".")[2] == fault:
+                raise SarsplatError(complaint(name, tensor, index, by_view=self.of_pairs or fault == "amplitudes"))
 
 
 class _OfGaussians(Stage):
     """Stage whose inputs are the arrays of a problem."""
 
-    names: ClassVar[tuple[str, ...]] = ARRAYS
+    names: ClassVar[tuple[str, ...]] = INPUTS
+    of_pairs = False
+    frame: ClassVar[Callable[..., Tensor]] = staticmethod(frame_of)
+    """Frame of a view in which Gaussians are projected."""
+    level: ClassVar[bool] = False
+    """True if harmonics are evaluated along `level_direction`."""
     peak = False
 
     def __init__(self, kernel: Pass, views: Sequence[View], grid: ImageGrid, rays: RayGrid, p_min: float) -> None:
         super().__init__(kernel)
         self.views, self.grid, self.rays, self.p_min = views, grid, rays, p_min
 
-    def pose(self, inputs: Tensors) -> tuple[Any, Tensor]:
-        """Make the problem of these inputs; return it and the means."""
-        means = inputs[0]
-        assert means is not None
-        self.problem, self.constants = problem_of(inputs, self.views, self.grid, self.rays, self.p_min, self.peak)
-        return self.problem, means
+    def pose(self, arrays: Sequence[Any]) -> Any:
+        """Return the problem of these arrays, those of `ARRAYS`."""
+        means, _, _, _, harmonics, amplitudes, _ = arrays
+        problem = new_problem(len(self.views), len(means), grid=self.grid, rays=self.rays, peak=self.peak)
+        frames, basis = by_view(self.frame, self.views, means.dtype, means.device), None
+        if harmonics is not None:
+            problem.coefficients = harmonics.shape[1]
+            basis = by_view(basis_of, self.views, math.isqrt(harmonics.shape[1]) - 1, self.level, means.device)
+        if amplitudes is not None:
+            problem.channels = amplitudes.shape[2]
+        problem.frames, problem.basis, problem.p_min = pointer(frames), pointer(basis), self.p_min
+        point_at(problem, arrays)
+        self.problem, self.constants = problem, (frames, basis)  # constants live as long as the problem
+        return problem
 
     def new_gradients(self, saved: list[Any]) -> list[Tensor | None]:
         """Make tensors for gradients of the given inputs; of the shift, which takes an extra kernel, only if needed."""
         *others, shift = [None if t is None else torch.empty_like(t) for t in saved]
         return [*others, shift if self.needed[len(ARRAYS) - 1] else None]
 
-    def accept(self, inputs: Tensors, fault: str, index: int) -> None:
-        """Raise if the kernel rejected an input."""
-        if not fault:
-            return
+    def extent(self, inputs: Sequence[Any], view: int) -> tuple[Tensor, Tensor]:
         means, _, scales, *_ = inputs
-        if fault == "lattice":
-            assert means is not None
-            assert scales is not None
-            raise SarsplatError(_too_many_rays(index, self.rays, float(means.abs().max()), float(scales.max())))
-        tensor = inputs[FAULTS.index(fault) - 1]
-        assert tensor is not None
-        raise SarsplatError(complaint(fault, tensor, index, by_view=fault == "amplitudes"))
+        return means.abs().max(), scales.max()
 
 
 class Render(_OfGaussians):
@@ -87,8 +113,8 @@ class Render(_OfGaussians):
     """Filled with dL/d(mu_C, mu_I) in the backward pass."""
     constant = (4,)
 
-    def forward(self, inputs: Tensors) -> tuple[Tensor, ...]:
-        problem, means = self.pose(inputs)
+    def forward(self, inputs: Sequence[Any]) -> tuple[Tensor, ...]:
+        means, problem = inputs[0], self.pose(inputs)
         problem.in_sight = pointer(self.in_sight)
         views, n, channels = problem.views, problem.gaussians, problem.channels
         # never torch's default dtype or device
@@ -114,9 +140,9 @@ class Render(_OfGaussians):
 class Project(_OfGaussians):
     """Projection; the last of its tensors is γ⁰ of harmonics."""
 
-    def forward(self, inputs: Tensors) -> tuple[Tensor, ...]:
-        problem, means = self.pose(inputs)
-        outputs = tuple(_by_view(means, problem, width) for width in _WIDTHS)
+    def forward(self, inputs: Sequence[Any]) -> tuple[Tensor, ...]:
+        problem = self.pose(inputs)
+        outputs = tuple(_by_view(inputs[0], problem, width) for width in _WIDTHS)
         self.accept(inputs, *self.kernel.forward("project", problem, api.projection(*map(pointer, outputs))))
         self.constant = (3, 4) if problem.coefficients else (3, 4, 7)
         return outputs
@@ -136,18 +162,15 @@ class Project(_OfGaussians):
 class PressedFlat(Project):
     """Projection of Gaussians pressed flat onto z = 0; only footprints on the imaging plane are valid."""
 
-    def pose(self, inputs: Tensors) -> tuple[Any, Tensor]:
-        problem, means = super().pose(inputs)
-        frames = by_view(flat_frame, self.views, means.device)
-        self.constants = (*self.constants, frames)
-        problem.frames = pointer(frames)
-        return problem, means
+    frame = staticmethod(flat_frame)
 
 
 class Bounce(_OfGaussians):
     """Images of the bounce off a mirror on the ground, one channel, of all views in one call each way."""
 
-    names = (*ARRAYS, "transmittance", "lit_area")
+    names = (*INPUTS, "transmittance", "lit_area")
+    frame = staticmethod(mirrored_frame)
+    level = True
 
     lattices: Sequence[Any]
     """Lattices of the rays of each view."""
@@ -155,20 +178,10 @@ class Bounce(_OfGaussians):
     factor: float
     """Factor on √(lit area · lit area by way of the mirror) times amplitudes."""
 
-    def pose(self, inputs: Tensors) -> tuple[Any, Tensor]:
-        """Make the problem, with rays of the mirror image, and harmonics halfway between the two ways."""
-        problem, means = super().pose(inputs[: len(ARRAYS)])
-        device = means.device
-        frames, feet = (by_view(of, self.views, device) for of in (mirrored_frame, flat_frame))
-        offset, basis = by_view(mirror_offset, self.views, self.height_m, device), None
-        if problem.coefficients:
-            basis = by_view(basis_of, self.views, math.isqrt(problem.coefficients) - 1, True, device)
-        self.constants = frames, feet, offset, basis
-        problem.frames, problem.basis = pointer(frames), pointer(basis)
-        return problem, means
-
-    def forward(self, inputs: Tensors) -> tuple[Tensor, ...]:
-        problem, means = self.pose(inputs)
+    def forward(self, inputs: Sequence[Any]) -> tuple[Tensor, ...]:
+        means, problem = inputs[0], self.pose(inputs[: len(ARRAYS)])
+        self.feet = by_view(flat_frame, self.views, means.dtype, means.device)
+        self.offset = by_view(mirror_offset, self.views, self.height_m, means.device)
         images = means.new_empty(problem.views, self.grid.rows, self.grid.columns)
         self.accept(inputs, *self.kernel.forward("bounce", problem, self._bounce(inputs), images.data_ptr()))
         return (images,)
@@ -183,13 +196,12 @@ class Bounce(_OfGaussians):
         self.kernel.backward("bounce", self.problem, self._bounce(saved), gradients, *addresses)
         return [*results, ends, lit]
 
-    def _bounce(self, inputs: Tensors) -> Any:
+    def _bounce(self, inputs: Sequence[Any]) -> Any:
         """Make the structure of the bounce's arrays."""
-        _, feet, offset, _ = self.constants
         transmittance, lit_area = inputs[len(ARRAYS) :]
         return api.bounce(
-            image_frames=pointer(feet),
-            offset=pointer(offset),
+            image_frames=pointer(self.feet),
+            offset=pointer(self.offset),
             transmittance=pointer(transmittance),
             lattices=(api.lattice * len(self.lattices))(*self.lattices),
             lit_area=pointer(lit_area),
@@ -208,19 +220,12 @@ class Attenuate(Stage):
         super().__init__(kernel)
         self.rays, self.depth = rays, depth
 
-    def forward(self, inputs: Tensors) -> tuple[Tensor, ...]:
-        centers, roots, optical_depth, *_ = inputs
-        assert centers is not None
-        assert roots is not None
-        assert optical_depth is not None
+    def forward(self, inputs: Sequence[Any]) -> tuple[Tensor, ...]:
+        optical_depth = inputs[2]
         self.problem = new_problem(*optical_depth.shape, rays=self.rays)
         lit_area = torch.empty_like(optical_depth)
         footprints = api.projection(*map(pointer, inputs))
-        fault, index = self.kernel.forward("attenuate", self.problem, footprints, lit_area.data_ptr())
-        if fault == "lattice":
-            reach, width = centers[index].abs().max(), deviations(roots[index]).max()
-            raise SarsplatError(_too_many_rays(index, self.rays, float(reach), float(width)))
-        _accept_footprints(self.names, inputs, fault, index)
+        self.accept(inputs, *self.kernel.forward("attenuate", self.problem, footprints, lit_area.data_ptr()))
         return lit_area, *_traced(self.kernel, self.problem, self.depth, False, lit_area)
 
     def backward(self, saved: list[Any], grads: Tensors) -> Tensors:
@@ -229,6 +234,10 @@ class Attenuate(Stage):
         gradients = api.projection(*map(pointer, results))
         self.kernel.backward("attenuate", self.problem, pointer(grads[0]), pointer(grads[1]), gradients)
         return (*results, None, None)
+
+    def extent(self, inputs: Sequence[Any], view: int) -> tuple[Tensor, Tensor]:
+        centers, roots, *_ = inputs
+        return centers[view].abs().max(), deviations(roots[view]).max()
 
 
 class Splat(Stage):
@@ -241,16 +250,14 @@ class Splat(Stage):
         super().__init__(kernel)
         self.grid, self.peak, self.turns = grid, peak, turns
 
-    def forward(self, inputs: Tensors) -> tuple[Tensor, ...]:
+    def forward(self, inputs: Sequence[Any]) -> tuple[Tensor, ...]:
         centers, roots, cross_sections, slopes = inputs
-        assert cross_sections is not None
         views, n, channels = cross_sections.shape
         self.problem = new_problem(views, n, grid=self.grid, peak=self.peak)
         images = cross_sections.new_empty(views, channels, self.grid.rows, self.grid.columns)
         footprints = api.projection(pixel_centers=pointer(centers), pixel_roots=pointer(roots))
         splatted = self._channels(cross_sections, slopes)
-        fault = self.kernel.forward("splat", self.problem, footprints, splatted, images.data_ptr())
-        _accept_footprints(self.names, inputs, *fault)
+        self.accept(inputs, *self.kernel.forward("splat", self.problem, footprints, splatted, images.data_ptr()))
         return (images,)
 
     def backward(self, saved: list[Any], grads: Tensors) -> Tensors:
@@ -290,19 +297,3 @@ def _traced(kernel: Pass, problem: Any, depth: float | None, ends: bool, like: T
     if requested:
         kernel.trace(problem, depth or 0.0, transmittance.data_ptr(), pointer(None if depth is None else first_return))
     return transmittance, first_return
-
-
-def _too_many_rays(view: int, rays: RayGrid, reach_m: float, width_m: float) -> str:
-    """Return the message for a lattice that is too large."""
-    return (
-        f"view {view} would need too many rays at a spacing of {rays.spacing_m} m: the Gaussians reach {reach_m:.4g} m "
-        f"from the scene centre and are up to {width_m:.4g} m wide; remove distant or wide ones, or use coarser rays"
-    )
-
-
-def _accept_footprints(names: Sequence[str], inputs: Tensors, fault: str, index: int) -> None:
-    """Raise if a step rejected an input."""
-    for name, tensor in zip(names, inputs, strict=True):
-        if fault and name.rpartition(".")[2] == fault:
-            assert tensor is not None
-            raise SarsplatError(complaint(name, tensor, index, by_view=True))
