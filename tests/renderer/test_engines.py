@@ -17,7 +17,7 @@ from sarsplat import ImageGrid, NormalLobes, RayGrid, SarsplatError, SarsplatWar
 from sarsplat.cli import main
 from sarsplat.renderer import attenuate, project, render, render_covariances, splat
 from sarsplat.renderer.engines import cpu, cuda
-from sarsplat.renderer.engines.abi import HEADER, SOURCES, api, filled, structure_of, structures
+from sarsplat.renderer.engines.abi import HEADER, SOURCES, api, filled, members_of, structure_of, structures
 from sarsplat.renderer.engines.choice import passes_for
 from sarsplat.renderer.engines.cuda_operations import OPERATIONS
 from sarsplat.renderer.engines.operation import Operation
@@ -72,7 +72,7 @@ def test_every_operation_of_the_header_is_declared_in_python_once() -> None:
     assert sorted(listed) == sorted(["adam", *(one.operation for one in declared())])  # which steps in place
     assert OPERATIONS.keys() < set(listed)
     for one in declared():
-        _, members = structure_of(one.operation)
+        members = members_of(structure_of(one.operation)).keys()
         assert set(one.names) < members
         assert any(f"d_{name}" in members for name in one.names)
 
@@ -171,7 +171,9 @@ def test_declarations() -> None:
 
 def test_a_structure_is_filled() -> None:
     lit, places = torch.empty(2, 3), [{"rows": (0.5, 2.0, 3), "columns": (1.0, 1.5, 4)}] * 2
-    call = filled("lit_ground", {"views": 2, "std": (0.25, 0.5), "patches": places, "lit": lit, "shift": None})
+    call = filled(
+        structure_of("lit_ground"), {"views": 2, "std": (0.25, 0.5), "patches": places, "lit": lit, "shift": None}
+    )
     assert (call.views, tuple(call.std), call.lit, call.shift) == (2, (0.25, 0.5), lit.data_ptr(), None)
     assert (call.patches[1].rows.step, call.patches[1].columns.count) == (2.0, 4)
 

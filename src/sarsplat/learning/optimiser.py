@@ -11,7 +11,7 @@ from torch import Tensor
 
 from sarsplat.learning.parts.part import Learned
 from sarsplat.learning.snapshot import fitting
-from sarsplat.renderer.engines.abi import filled
+from sarsplat.renderer.engines.abi import api, filled
 from sarsplat.renderer.engines.choice import passes_for
 from sarsplat.renderer.engines.passes import NewPass
 
@@ -184,7 +184,7 @@ class EngineAdam:
     def __init__(self, new_pass: NewPass, tensors: Sequence[Stepped]) -> None:
         self._new_pass, self._tensors = new_pass, tensors  # kept alive: the engine has their addresses only
         constants = {"count": len(tensors), "beta1": BETA1, "beta2": BETA2, "epsilon": EPSILON}
-        self._call = filled("adam", constants | {"groups": [_group(tensor) for tensor in tensors]})
+        self._call = filled(api.adam_step, constants | {"groups": [_group(tensor) for tensor in tensors]})
         self._groups = self._call.groups[: len(tensors)]
 
     def step(self, gradients: Sequence[Tensor], decays: Sequence[float], count: int) -> None:

@@ -77,33 +77,29 @@ api = SimpleNamespace(
 
 
 @cache
-def structure_of(operation: str) -> tuple[Any, frozenset[str]]:
-    """Return the structure that an operation takes, and the names of its members."""
-    structure = dict(api.engine._fields_)[operation]._argtypes_[1]._type_
-    return structure, frozenset(name for name, _ in structure._fields_)
+def structure_of(operation: str) -> Any:
+    """Return the structure that an operation takes."""
+    return dict(api.engine._fields_)[operation]._argtypes_[1]._type_
 
 
-def filled(operation: str, values: Mapping[str, Any]) -> Any:
-    """Fill an operation's structure with numbers, tuples of them, tensors, and lists of such structures.
+@cache
+def members_of(structure: Any) -> dict[str, Any]:
+    """Return the types of a structure's members, by name."""
+    return dict(structure._fields_)
+
+
+def filled(structure: Any, values: Mapping[str, Any]) -> Any:
+    """Fill a structure with numbers, tuples of them, tensors, and lists of such values of other structures.
 
     It holds addresses of tensors, which must outlive it.
     """
-    return _filled(structure_of(operation)[0], values)
-
-
-def _filled(structure: Any, values: Mapping[str, Any]) -> Any:
-    made, members = structure(), _members(structure)
+    made, members = structure(), members_of(structure)
     for name, value in values.items():
         of = members[name]
         if isinstance(value, Tensor):
             value = value.data_ptr() if of is ctypes.c_void_p else value.item()  # a number may be a tensor, too
         elif isinstance(value, list):
-            value = (of._type_ * len(value))(*(_filled(of._type_, one) for one in value))
+            value = (of._type_ * len(value))(*(filled(of._type_, one) for one in value))
         if value is not None or of in _NUMBERS.values():  # an address is null as it begins, and a number is required
             setattr(made, name, value)
     return made
-
-
-@cache
-def _members(structure: Any) -> dict[str, Any]:
-    return dict(structure._fields_)

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from sarsplat.errors import SarsplatError
-from sarsplat.renderer.engines.abi import filled, structure_of
+from sarsplat.renderer.engines.abi import filled, members_of, structure_of
 from sarsplat.renderer.engines.passes import NewPass, Pass
 
 Tensors = Sequence[Tensor | None]
@@ -137,7 +137,7 @@ class Operation(Call):
         return [gradients.get(f"d_{name}") for name in self.names]
 
     def _new_gradients(self, inputs: Tensors) -> dict[str, Tensor]:
-        _, members = structure_of(self.operation)
+        members = members_of(structure_of(self.operation))
         return {
             f"d_{name}": torch.empty_like(tensor)
             for name, tensor, needed in zip(self.names, inputs, self.needed, strict=True)
@@ -146,7 +146,7 @@ class Operation(Call):
 
     def _run(self, kernel: Pass, inputs: Tensors, others: Mapping[str, Tensor]) -> None:
         named = dict(zip(self.names, inputs, strict=True))
-        kernel.run(self.operation, filled(self.operation, {**self._numbers, **named, **others}))
+        kernel.run(self.operation, filled(structure_of(self.operation), {**self._numbers, **named, **others}))
 
 
 class _Call(torch.autograd.Function):
