@@ -59,16 +59,12 @@ class Harmonics(Scattering):
     """
 
     kind: ClassVar[str] = "harmonics"
+    columns: ClassVar[tuple[int, ...]] = (1, 4, 9, 16)  # of degrees 0 to 3
 
     @property
     def degree(self) -> int:
         """Degree of the harmonics, 0 to 3."""
         return math.isqrt(self.parameters.shape[1]) - 1
-
-    @property
-    def columns(self) -> tuple[int, ...]:
-        """Numbers of coefficients of degrees 0 to 3."""
-        return 1, 4, 9, 16
 
     @property
     def in_words(self) -> str:

@@ -43,13 +43,9 @@ class NormalLobes(Scattering):
     """
 
     kind: ClassVar[str] = "normal-lobes"
+    columns: ClassVar[tuple[int, ...]] = (3,)  # b₀, b₁ and e
     oriented: ClassVar[bool] = True
     common: ClassVar[tuple[tuple[float, float], ...]] = ((0.0, math.log(32)),)
-
-    @property
-    def columns(self) -> tuple[int, ...]:
-        """Number of parameters: b₀, b₁ and e."""
-        return (3,)
 
     @property
     def in_words(self) -> str:

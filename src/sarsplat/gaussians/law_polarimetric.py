@@ -63,9 +63,9 @@ class Polarimetric(Scattering):
         return ("power", *self.polarisations, *(f"Re {pair}" for pair in pairs), *(f"Im {pair}" for pair in pairs))
 
     @property
-    def columns(self) -> tuple[int, ...]:
+    def columns(self) -> tuple[int, ...]:  # type: ignore[override]
         """Numbers of columns for degrees 0 to 3."""
-        return tuple(self._shape + harmonics for harmonics in (1, 4, 9, 16))
+        return tuple(self._shape + harmonics for harmonics in Harmonics.columns)
 
     def amplitudes(
         self, directions: Float[Tensor, "v 3"], quaternions: Float[Tensor, "n 4"], scales: Float[Tensor, "n 3"]

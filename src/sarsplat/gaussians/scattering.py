@@ -51,6 +51,9 @@ class Scattering(ABC):
     kind: ClassVar[str]
     """Name in files and configurations."""
 
+    columns: ClassVar[tuple[int, ...]] = ()
+    """Allowed numbers of columns of the parameters; any if empty."""
+
     channels: ClassVar[tuple[str, ...]] = ("power",)
     """Names of the images' C channels."""
 
@@ -80,11 +83,6 @@ class Scattering(ABC):
             numbers = " or ".join(", ".join(map(str, allowed)).rsplit(", ", 1))
             condition = f"= {numbers}" if allowed else "at least 1"
             raise SarsplatError(f"scattering has shape {shape}; for N Gaussians it must be (N, K) with K {condition}")
-
-    @property
-    def columns(self) -> tuple[int, ...]:
-        """Allowed numbers of columns of the parameters; any if empty."""
-        return ()
 
     @abstractmethod
     def amplitudes(
