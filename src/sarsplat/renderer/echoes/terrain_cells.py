@@ -11,6 +11,7 @@ from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import accumulate
+from typing import Any
 
 import numpy as np
 import torch
@@ -71,30 +72,20 @@ class Cells:
             torch.cuda.current_stream(device).synchronize()  # other threads use other streams
         return is_read(self._copies[device])
 
-    @property
-    def bytes(self) -> int:
-        return 8 * self.low_m.numel()
+
+_latest: OrderedDict[tuple[Terrain | float, View, ImageGrid, RayGrid], Cells] = OrderedDict()
+_LOCK = threading.Lock()
 
 
-class _Cache:
-    """Cache of the latest cells, up to a gigabyte: a training renders the same few views again and again."""
-
-    def __init__(self) -> None:
-        self._cells: OrderedDict[tuple[object, ...], Cells] = OrderedDict()
-        self._lock = threading.Lock()
-
-    def get(self, terrain: Terrain | float, view: View, grid: ImageGrid, rays: RayGrid) -> Cells:
-        key = (terrain, view, grid, rays)
-        with self._lock:
-            if key not in self._cells:
-                self._cells[key] = _cells(*key)
-                while len(self._cells) > 1 and sum(cells.bytes for cells in self._cells.values()) > _CACHE_BYTES:
-                    self._cells.popitem(last=False)
-            self._cells.move_to_end(key)
-            return self._cells[key]
-
-
-_cache = _Cache()
+def _cached(*key: Any) -> Cells:
+    """Return `_cells`, cached up to a gigabyte: a training renders the same few views again and again."""
+    with _LOCK:
+        if key not in _latest:
+            _latest[key] = _cells(*key)
+            while len(_latest) > 1 and sum(8 * cells.low_m.numel() for cells in _latest.values()) > _CACHE_BYTES:
+                _latest.popitem(last=False)
+        _latest.move_to_end(key)
+        return _latest[key]
 
 
 def cells_of(
@@ -110,7 +101,7 @@ def cells_of(
         raise NotRecordable("asks how far images are displaced, since terrain beyond their edges may be seen")
     steps = 0 if shift is None else 1 + int(shift.detach().abs().max() / (_MARGIN * min(grid.spacing_m)))
     wider = replace(grid, rows=grid.rows + 2 * _MARGIN * steps, columns=grid.columns + 2 * _MARGIN * steps)
-    return [_cache.get(terrain, view, wider, rays) for view in every]
+    return [_cached(terrain, view, wider, rays) for view in every]
 
 
 def before_terrain(
