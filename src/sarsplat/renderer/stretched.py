@@ -3,8 +3,9 @@
 Gaussians are lit as in the unstretched view, and imaged by the gradients of the look.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -47,7 +48,9 @@ def render_stretched(
     planes = None
     if plane_gradients:
         planes = g.means.new_zeros(len(views), len(g), 4)
-        _filled_later(planes, projection.rays.centers, footprints.centers)
+        for centers, part in zip((projection.rays.centers, footprints.centers), planes.split(2, dim=-1), strict=True):
+            if centers.requires_grad:
+                centers.register_hook(partial(_keep, part))
     images = steps.splat(footprints, cross_sections, grid, imaging_weight=imaging_weight)
     return Rendering(scaled(images, gain), cross_sections, lit_area.detach(), plane_gradients=planes)
 
@@ -69,17 +72,6 @@ def imaged(
         return footprints_of(centers, variances, flat, grid)
 
 
-def _filled_later(
-    planes: Float[Tensor, "v n 4"], of_rays: Float[Tensor, "v n 2"], of_pixels: Float[Tensor, "v n 2"]
-) -> None:
-    """Fill `planes` with gradients in the backward pass."""
-
-    def fill(columns: slice) -> Callable[[Tensor], None]:
-        def filled(slope: Tensor) -> None:
-            planes[..., columns] = slope.detach()
-
-        return filled
-
-    for centers, columns in ((of_rays, slice(0, 2)), (of_pixels, slice(2, 4))):
-        if centers.requires_grad:
-            centers.register_hook(fill(columns))
+def _keep(part: Float[Tensor, "v n 2"], gradient: Float[Tensor, "v n 2"]) -> None:
+    """Copy a gradient in the backward pass."""
+    part.copy_(gradient.detach())
