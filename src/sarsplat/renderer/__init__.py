@@ -141,12 +141,22 @@ def render(
     stretched = any(view.stretch != 1 for view in candidates(views)[0])
     if stretched and (echoes or first_return_depth is not None):
         raise SarsplatError("a view is stretched, which has no ground, echoes or ray maps; leave these out")
-    if not stretched:
-        options |= {"echoes": echoes, "first_return_depth": first_return_depth}
-    if (new_pass := passes_for(engine, tensors, grid)) is not None:
-        if stretched:
-            check_values(by_view)  # the engine checks the rest
-            return render_stretched(Steps(new_pass), gaussians, views, grid, **options, plane_gradients=plane_gradients)
+    new_pass = passes_for(engine, tensors, grid)
+    if new_pass is None:
+        if plane_gradients:
+            raise SarsplatError(
+                f"plane_gradients=True needs another engine ({', '.join(ENGINES)}); the reference has autograd instead"
+            )
+        check_for_reference("means", gaussians.means.dtype)
+        for values in (tensors, *(echo.values() for echo in echoes)):
+            check_values(values)
+    if stretched:
+        check_values(by_view)  # the engine checks the rest
+        return render_stretched(Steps(new_pass), gaussians, views, grid, **options, plane_gradients=plane_gradients)
+    options |= {"echoes": echoes, "first_return_depth": first_return_depth}
+    if new_pass is None:
+        rendering = render_reference(gaussians, views, grid, **options)
+    else:
         within_bounds = all(echo.within_bounds for echo in echoes)
         if not within_bounds and isinstance(views, ChosenViews):
             raise NotRecordable("has an echo from beyond its bounds")
@@ -162,15 +172,4 @@ def render(
             bounds = None
         options |= {"plane_gradients": plane_gradients, "bounds": bounds}
         rendering = render_with(new_pass, gaussians, views, grid, **options)
-        return rendering if ground is None else replace(rendering, ground=rendering.echoes[0])
-    if plane_gradients:
-        raise SarsplatError(
-            f"plane_gradients=True needs another engine ({', '.join(ENGINES)}); the reference has autograd instead"
-        )
-    check_for_reference("means", gaussians.means.dtype)
-    for values in (tensors, *(echo.values() for echo in echoes)):
-        check_values(values)
-    if stretched:
-        return render_stretched(Steps(None), gaussians, views, grid, **options)
-    rendering = render_reference(gaussians, views, grid, **options)
     return rendering if ground is None else replace(rendering, ground=rendering.echoes[0])
