@@ -202,15 +202,6 @@ def run(scene: Scene, leaves: dict[str, torch.Tensor], engine: str) -> list[torc
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-@pytest.mark.parametrize("argument", NAMED)
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_what_is_not_finite_is_refused_by_name(argument, value, engine):
-    for index in (0, 7):
-        with pytest.raises(SarsplatError, match=rf"^{argument}\[.*\] is .*(nan|inf).*; it must be "):
-            run(*with_value(argument, index, value, engine), engine)
-
-
-@pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("argument", [name for name in NAMED if name != "scales"])
 @pytest.mark.parametrize("value", [TINY, MIN_NORMAL, -0.0])
 def test_denormals_are_zeros(argument, value, engine):
@@ -229,14 +220,16 @@ NUMBERS = [0.0, TINY, MIN_NORMAL, MIN_SCALE, 1e9, 1e15, LARGEST, -LARGEST, 1e-20
 @pytest.mark.parametrize("argument", NAMED)
 def test_any_number_is_refused_by_name_or_gives_finite_results(argument, engine):
     rng, large = random.Random(argument), 5.0 if argument == "scales" else 40.0
-    for value in [*NUMBERS, large, *struct.unpack("8f", rng.randbytes(32))]:
+    for value in [*NUMBERS, large, *struct.unpack("8f", rng.randbytes(32)), NAN, INF, -INF]:
         scene, leaves = with_value(argument, rng.randrange(200), value, engine)
         try:
             results = run(scene, leaves, engine)
         except SarsplatError as error:
             words = ("too many rays", "needs rays", "pairs") if argument in ("means", "scales") else ()
-            assert str(error).startswith(f"{argument}[") or any(word in str(error) for word in words), (value, error)
+            by_name = str(error).startswith(f"{argument}[") and "; it must be " in str(error)
+            assert by_name or (math.isfinite(value) and any(word in str(error) for word in words)), (value, error)
         else:
+            assert math.isfinite(value)
             assert all(torch.isfinite(result).all() for result in results), value
 
 
