@@ -9,7 +9,7 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -22,13 +22,10 @@ from torch import Tensor
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
-from sarsplat import Gaussians, Ground, ImageGrid, RayGrid, View
-from sarsplat.renderer import Bounds, Rendering
-from sarsplat.renderer.echoes import Echo, GroundEcho
+from sarsplat.renderer import Rendering, render
 from sarsplat.renderer.engines import choice, cuda, on_device
 from sarsplat.renderer.engines.abi import SOURCES
 from sarsplat.renderer.engines.cuda_device import Device
-from sarsplat.renderer.operations import render_with
 
 HERE = Path(__file__).with_name("emulator")
 FLAGS = (
@@ -133,7 +130,7 @@ def guarded() -> Iterator[None]:
 
 @contextmanager
 def on_emulated_gpu(
-    launcher: Emulator, recorder: Callable[[torch.device], EmulatedRecorder] | None = None
+    launcher: Emulator | Device, recorder: Callable[[torch.device], EmulatedRecorder] | None = None
 ) -> Iterator[None]:
     """Meanwhile tensors on the CPU are on this GPU, which has a queue and recorders for each thread, or this one."""
     engine = choice.Engine(
@@ -151,24 +148,10 @@ def on_emulated_gpu(
     choice._fitting.cache_clear()
 
 
-def render_on(
-    launcher: Emulator | Device,
-    gaussians: Gaussians,
-    views: Sequence[View],
-    grid: ImageGrid,
-    *,
-    rays: RayGrid | None = None,
-    bounds: Bounds | None = None,
-    ground: Ground | None = None,
-    echoes: Sequence[Echo] = (),
-    **options: Any,
-) -> Rendering:
+def render_on(launcher: Emulator | Device, *arguments: Any, **options: Any) -> Rendering:
     """`sarsplat.render` with engine="cuda", as this launcher runs it."""
-    options["echoes"] = [*([] if ground is None else [GroundEcho(ground)]), *echoes]
-    rays = rays or RayGrid.for_image(grid)
-    capacity = None if bounds is None else bounds.capacity(len(gaussians), views, grid, rays)
-    new_pass, kept = partial(cuda.Pass, launcher, capacity), bounds if capacity else None
-    return render_with(new_pass, gaussians, views, grid, rays=rays, bounds=kept, **options)
+    with on_emulated_gpu(launcher):
+        return render(*arguments, engine="cuda", **options)
 
 
 # ---- what `Recorder` does: operations of torch and launches, recorded and run again ------------------------------
