@@ -147,21 +147,17 @@ def everything(
     return differentiated(scene, dtype, echo, **more)
 
 
-@pytest.mark.parametrize("name", SCENES)
-def test_the_cpu_engine_agrees_with_the_reference(name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "views", "given"),
+    [*((name, VIEWS, False) for name in SCENES), ("opaque", UNUSUAL, False), ("opaque", VIEWS, True)],
+)
+def test_the_cpu_engine_agrees_with_the_reference(name: str, views: tuple[View, ...], given: bool) -> None:
     scene = SCENES[name]()
-    expected = everything(scene, torch.float64, partial(render, engine="reference"))
+    expected = everything(scene, torch.float64, partial(render, engine="reference"), views, given)
+    assert ("own" in expected) is given
     for instruction_set in AVAILABLE:
         by = partial(render, engine=f"cpu-{instruction_set}")
-        check_agreement(everything(scene, torch.float32, by), expected)
-
-
-@pytest.mark.parametrize(("views", "given"), [(UNUSUAL, False), (VIEWS, True)], ids=["tilted and left", "amplitudes"])
-def test_other_views_and_given_amplitudes_agree_with_the_reference(views: tuple[View, ...], given: bool) -> None:
-    scene = CLOUDS["opaque"]()
-    expected = everything(scene, torch.float64, partial(render, engine="reference"), views, given)
-    check_agreement(everything(scene, torch.float32, render, views, given), expected)
-    assert ("own" in expected) is given
+        check_agreement(everything(scene, torch.float32, by, views, given), expected)
 
 
 @pytest.mark.parametrize("place", [(0.0, 0.0, 0.0), (2.0, -1.5, 1.2), (30.0, 0.0, 0.0)])
