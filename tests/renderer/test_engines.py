@@ -16,6 +16,7 @@ from made import upright
 from sarsplat import ImageGrid, NormalLobes, RayGrid, SarsplatError, SarsplatWarning, Stack, View
 from sarsplat.cli import main
 from sarsplat.renderer import attenuate, project, render, render_covariances, splat
+from sarsplat.renderer.covariances import Sections
 from sarsplat.renderer.engines import cpu, cuda
 from sarsplat.renderer.engines.abi import HEADER, SOURCES, api, filled, members_of, structure_of, structures
 from sarsplat.renderer.engines.choice import passes_for
@@ -100,25 +101,13 @@ def test_what_an_engine_has_not_is_left_to_plain_torch() -> None:
     assert [gpus.has("adam", {"columns": columns}) for columns in (16, 17)] == [True, False]
 
 
-class Doubled(Operation):
-    """An operation that no engine has."""
-
-    operation = "doubled"
-    names = ("x",)
-
-    def plain(self, x: torch.Tensor) -> torch.Tensor:
-        return 2 * x
-
-    def numbers(self, x: torch.Tensor) -> dict[str, Any]:
-        return {}
-
-    def outputs(self, x: torch.Tensor) -> dict[str, torch.Tensor]:
-        raise AssertionError
-
-
 def test_the_twin_runs() -> None:
-    for new_pass in (None, cpu.Pass, lambda: cuda.Pass(None)):
-        assert Doubled().on(new_pass, torch.ones(2)).tolist() == [2.0, 2.0]
+    """Of an operation that GPUs do not have."""
+    shapes = (5, 3), (5, 4), (5, 3), (2, 3, 3), (2, 5, 3), (2, 4), (2, 5, 1)
+    inputs = [torch.rand(shape) for shape in shapes]
+    expected = Sections().plain(*inputs, None)
+    for new_pass in (None, lambda: cuda.Pass(None)):
+        assert all(torch.equal(*both) for both in zip(Sections().on(new_pass, *inputs, None), expected, strict=True))
 
 
 # ---- what Python reads of the C declarations is what a compiler makes of them ----------------------------------------
