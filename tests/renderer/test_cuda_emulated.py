@@ -12,7 +12,6 @@ from compared import chained, relative, same_bits
 from emulated_cuda import SCHEDULES, Emulator, guarded, mutated, render_on, without_barrier
 from named_scenes import GRID, MATRIX, VIEWS, Scene, cloud
 from test_cpu_engine import check, everything, judged, loss_of, outputs_of, traced
-from test_steps import STEPPED
 
 from sarsplat import SarsplatError, render
 from sarsplat.renderer.checks import check_for_cuda
@@ -40,7 +39,7 @@ def short_chunks(in_short_chunks, monkeypatch) -> Path:
 
 @pytest.mark.parametrize("name", MATRIX)
 def test_matches_the_reference_and_backwards_bit_for_bit(name, library):
-    """Shuffled, the same kernels run in `test_cuda_bounds.py` and in the steps below."""
+    """Shuffled, the same kernels run in `test_cuda_bounds.py` and `test_steps.py`."""
     scene, _, norms, _, maps = judged(name)
     found = everything(scene, traced(maps, partial(render_on, Emulator(library))), norms)
     check(name, found)
@@ -59,12 +58,6 @@ def test_lists_of_several_chunks_whether_ranked_or_sorted(name, short_chunks, mo
 
 def chain_on(library: Path, schedule: str) -> partial:
     return partial(chained, Steps(partial(cuda.Pass, Emulator(library, schedule))))
-
-
-@pytest.mark.parametrize("name", STEPPED)
-def test_a_chain_of_steps_matches_the_reference(name, library):
-    scene, _, norms, *_ = judged(name)
-    check(name, everything(scene, chain_on(library, "shuffled"), norms))
 
 
 def test_plane_gradients_and_a_second_backward(emulated):
@@ -234,10 +227,3 @@ def test_auto_takes_the_gpu():
     moved = scene.gaussians.to("cuda")
     call = partial(render, moved, scene.views, scene.grid)
     assert torch.equal(call().images, call(engine="cuda").images)
-
-
-@needs_gpu
-def test_tensors_on_two_devices():
-    scene = MATRIX["overlap"]()
-    with pytest.raises(SarsplatError, match=r"gain is torch.float32 on cpu; the CUDA engine takes"):
-        render(cloud(10, 0).to("cuda"), scene.views, scene.grid, gain=torch.ones(3), engine="cuda")

@@ -25,15 +25,15 @@ RAYS = RayGrid.for_image(GRID)
 STEPPED = [name for name in MATRIX if "ground" not in name and "terrain" not in name]  # which are no steps
 
 
-def emulated(request: pytest.FixtureRequest) -> NewPass:
-    return partial(cuda.Pass, Emulator(request.getfixturevalue("library")))
+def emulated(request: pytest.FixtureRequest, schedule: str = "in order") -> NewPass:
+    return partial(cuda.Pass, Emulator(request.getfixturevalue("library"), schedule))
 
 
-@pytest.mark.parametrize("instruction_set", AVAILABLE)
+@pytest.mark.parametrize("engine", [*AVAILABLE, "cuda"])
 @pytest.mark.parametrize("name", STEPPED)
-def test_a_chain_of_steps_matches_the_reference(name, instruction_set):
+def test_a_chain_of_steps_matches_the_reference(name, engine, request):
     scene, _, norms, _, maps = judged(name)
-    steps = Steps(partial(cpu.Pass, instruction_set))
+    steps = Steps(partial(cpu.Pass, engine) if engine != "cuda" else emulated(request, "shuffled"))
     check(name, everything(scene, traced(maps, partial(chained, steps)), norms))
 
 
