@@ -54,20 +54,10 @@ def render_covariances(
 
     Parameters
     ----------
-    gaussians : Gaussians
-        The scene, N Gaussians.
-    views : sequence of View
-        V views, at least one.
-    grid : ImageGrid
-        Pixels.
+    gaussians, views, grid, rays, shift, engine
+        As at `render`.
     stack : Stack or sequence of Stack
         P channels, passes or polarisations or both; one stack for all views, or one for each.
-    rays : RayGrid, optional
-        As at `render`.
-    shift : Tensor [V, 2], optional
-        Displacement (azimuth, range) of each image, m.
-    engine : str
-        As at `render`.
 
     Returns
     -------

@@ -42,18 +42,10 @@ def project(
 
     Parameters
     ----------
-    gaussians : Gaussians
-        The scene, N Gaussians.
-    views : sequence of View
-        V views, at least one.
+    gaussians, views, rays, shift, engine
+        As at `render`; the cell of a ray widens the footprints on the computation plane.
     grid : ImageGrid
         Its response widens the footprints on the imaging plane.
-    rays : RayGrid, optional
-        Their cell widens the footprints on the computation plane; two to a pixel spacing unless given.
-    shift : Tensor [V, 2], optional
-        Displacement (azimuth, range) of each image, m.
-    engine : str
-        As at `render`.
 
     Returns
     -------
@@ -91,10 +83,8 @@ def attenuate(
         Result of `project`; its `pixels` are not used.
     rays : RayGrid
         Ray lattice; the same as for `project`, which widened the footprints by its cell.
-    first_return_depth : float, optional
-        Two-way optical depth at which a ray counts as returned; asks for `Attenuation.ray_maps`.
-    engine : str
-        As at `render`.
+    first_return_depth, engine
+        As at `render`; the depth asks for `Attenuation.ray_maps`.
 
     Returns
     -------
@@ -149,9 +139,7 @@ def splat(
         Pixels; the same as for `project`, which widened the footprints by its response.
     waves : Waves, optional
         Phase gradients of complex cross-sections across the footprints.
-    imaging_weight : {"area", "peak"}
-        "area" divides by the footprint's area, which conserves cross-sections; "peak" does not, for ablations only.
-    engine : str
+    imaging_weight, engine
         As at `render`.
 
     Returns
