@@ -114,11 +114,6 @@ def test_gradients_of_the_reference_are_finite_differences(given: bool) -> None:
         return [rendering.echoes[0]]
 
     check_gradients(image, tuple(leaves.values()))
-    (shown,) = image(*leaves.values())
-    weights = torch.linspace(1, 2, shown.numel(), dtype=shown.dtype).view_as(shown)
-    for name, gradient in zip(leaves, torch.autograd.grad((shown * weights).sum(), list(leaves.values())), strict=True):
-        rows = gradient.reshape(gradient.shape[0] if gradient.ndim else 1, -1)
-        assert (rows.norm(dim=1) > 1e-6).all(), name
 
 
 SCENES = {

@@ -24,10 +24,9 @@ def test_every_argument_of_every_output(name):
 
 
 @SCENES
-def test_the_scenes_occlude_and_no_gradient_is_zero(name):
+def test_the_scenes_occlude(name):
     scene = GRADCHECK[name]()
-    leaves = scene.leaves(torch.float64)
-    rendering = scene.call(render_reference, leaves, cuts=False)
+    rendering = scene.call(render_reference, scene.leaves(torch.float64), cuts=False)
     assert min(float(m.transmittance.detach().min()) for m in rendering.ray_maps) < 0.3
     # whoever stands in the shadow of others loses a good part of its lit area
     shares = []
@@ -36,17 +35,6 @@ def test_the_scenes_occlude_and_no_gradient_is_zero(name):
         free = render_reference(alone, scene.views, scene.grid, rays=scene.rays, cuts=False).lit_area[:, 0]
         shares.append(float((rendering.lit_area[:, i] / free).min()))
     assert min(shares) < 0.7
-    for output in (rendering.images, rendering.cross_sections):
-        weights = torch.linspace(1, 2, output.numel(), dtype=output.dtype).view_as(output)
-        gradients = torch.autograd.grad(
-            (output * weights).sum(), list(leaves.values()), retain_graph=True, allow_unused=True
-        )
-        for argument, gradient in zip(leaves, gradients, strict=True):
-            if output is rendering.cross_sections and argument.startswith(("shift", "gain", "ground")):
-                assert gradient is None  # they move and scale the image only
-            else:
-                rows = gradient.reshape(gradient.shape[0] if gradient.ndim else 1, -1)
-                assert (rows.norm(dim=1) > 1e-6).all(), argument
 
 
 def test_waves():
