@@ -21,7 +21,7 @@ from test_stretched import everything as of_stretched
 from torch.autograd.graph import saved_tensors_hooks
 from torch.utils.checkpoint import checkpoint
 
-from sarsplat import Gaussians, ImageGrid, RayGrid, render
+from sarsplat import ImageGrid, RayGrid, render
 from sarsplat.renderer.engines import cpu
 from sarsplat.renderer.operations import Steps
 
@@ -71,30 +71,22 @@ def test_same_bits_for_any_number_of_threads_and_run_to_run(name, threads):
         assert same_bits(CALLS[name](), expected), count
 
 
-def leaves_of(gaussians: Gaussians) -> Gaussians:
-    return gaussians.with_tensors(**{name: t.clone().requires_grad_() for name, t in gaussians.tensors().items()})
-
-
-def gradients_of(images: torch.Tensor, scene: Gaussians) -> list[torch.Tensor]:
-    return list(torch.autograd.grad((images**2).sum(), list(scene.tensors().values())))
-
-
 def test_passes_between_forward_and_backward_do_not_disturb():
-    scenes = [leaves_of(cloud(count, seed)) for count, seed in ((60, 1), (90, 2), (20, 3), (60, 4))]
-    expected = [gradients_of(render(scene, VIEWS, GRID, engine="cpu").images, scene) for scene in scenes]
-    images = [render(scene, VIEWS, GRID, engine="cpu").images for scene in scenes]  # all alive at once
+    scenes = [Scene(cloud(count, seed)) for count, seed in ((60, 1), (90, 2), (20, 3), (60, 4))]
+    leaves = [[*scene.leaves(torch.float32).values()] for scene in scenes]
+    expected = [gradients(images(*own, scene=scene), own) for scene, own in zip(scenes, leaves, strict=True)]
+    rendered = [images(*own, scene=scene) for scene, own in zip(scenes, leaves, strict=True)]  # all alive at once
     for k in (2, 0, 3, 1):
-        for mine, theirs in zip(gradients_of(images[k], scenes[k]), expected[k], strict=True):
-            assert torch.equal(mine, theirs)
+        assert equal(gradients(rendered[k], leaves[k]), expected[k])
 
 
 def test_inputs_changed_in_place_are_noticed():
-    scene = leaves_of(cloud(10, 1))
-    images = render(scene, VIEWS, GRID, engine="cpu").images
+    leaves = SCENE.leaves(torch.float32)
+    rendered = SCENE.call(render, leaves, engine="cpu").images
     with torch.no_grad():
-        scene.means.add_(1.0)
+        leaves["means"].add_(1.0)
     with pytest.raises(RuntimeError, match="modified by an inplace operation"):
-        images.sum().backward()
+        rendered.sum().backward()
 
 
 def resident_bytes() -> int:
@@ -103,14 +95,14 @@ def resident_bytes() -> int:
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="reads Linux's /proc")
 def test_memory_does_not_grow():
-    scenes = [leaves_of(cloud(count, count)) for count in (500, 40)]
+    scenes = [Scene(cloud(size, size), first_return_depth=depth) for depth in (1.0, 1.0, None) for size in (500, 40)]
+    leaves = [[*scene.leaves(torch.float32).values()] for scene in scenes]
 
     def iterate(count: int) -> None:
         for k in range(count):
-            scene = scenes[k % 2]
-            rendering = render(scene, VIEWS, GRID, engine="cpu", first_return_depth=1.0 if k % 3 else None)
+            rendered = images(*leaves[k % 6], scene=scenes[k % 6])
             if k % 5:  # now and then a forward pass is dropped without a backward one
-                gradients_of(rendering.images, scene)
+                torch.autograd.grad(rendered.square().sum(), leaves[k % 6])
 
     iterate(60)
     gc.collect()
