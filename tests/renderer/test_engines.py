@@ -134,27 +134,8 @@ def test_no_structure_and_no_function_is_overlooked() -> None:
     assert functions["create"]._restype_ is ctypes.c_void_p
     assert functions["statistics"]._restype_ is None
     assert functions["lit_ground"]._argtypes_ == (ctypes.c_void_p, ctypes.POINTER(api.ground))
-
-
-def test_declarations() -> None:
-    made = structures(
-        """
-        struct sg_one { int32_t a, b; };  // struct sg_comment { float x; };
-        struct other {
-          const sg_one* typed; const float *x, *const_y;
-          float* p, q[3];  // 3
-          sg_one inside;
-        };
-        """
-    )
-    assert [(name, of) for name, of in made["other"]._fields_ if name not in ("q", "inside")] == [
-        ("typed", ctypes.POINTER(made["sg_one"])),
-        ("x", ctypes.c_void_p),
-        ("const_y", ctypes.c_void_p),
-        ("p", ctypes.c_void_p),
-    ]
-    assert made["other"].q.size == 12
-    assert made["other"].inside.size == 8
+    members = members_of(api.bounce)
+    assert (members["lattices"], members["offset"]) == (ctypes.POINTER(api.lattice), ctypes.c_void_p)
     assert list(structures((SOURCES / "cuda_state.cuh").read_text(), ["Lattice"])) == ["Lattice"]
 
 
