@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import hashlib
 import math
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -61,10 +62,7 @@ def compile_emulator(folder: Path, sources: Path = SOURCES, flags: tuple[str, ..
 
 def mutated(kept: Path, folder: Path, file: str, before: str, after: str) -> Path:
     """The emulator with one place of a source file changed, in `kept` like the other; `folder` is for its sources."""
-    folder.mkdir()
-    for path in SOURCES.iterdir():
-        if path.suffix in (".cu", ".cuh", ".h"):
-            (folder / path.name).write_text(path.read_text())
+    shutil.copytree(SOURCES, folder)
     text = (folder / file).read_text()
     assert before in text
     (folder / file).write_text(text.replace(before, after, 1))
