@@ -214,21 +214,6 @@ def test_they_are_hermitian_and_positive_and_their_diagonal_is_power() -> None:
     assert not alone.imag.any()
 
 
-def test_what_is_higher_has_more_phase_in_the_higher_pass() -> None:
-    """The sign of everything: y ∝ exp(−jkR), and a pass that is seen higher is nearer to what is higher."""
-    stack = Stack(WAVELENGTH, (0.0, WAVELENGTH / 80))  # an elevation of 40 m is a turn
-    for height in (-3.0, 2.0, 5.0):
-        point = scene(np.array([[0.0, 0.0, height]]), np.full((1, 3), 0.05), 4.0)
-        with torch.no_grad():
-            found = render_covariances(point, [VIEW], GRID, stack)[0].numpy()
-        row, column = np.unravel_index(found[0, 0].real.argmax(), found.shape[2:])
-        deramped = found[1, 0] * np.exp(-1j * np.subtract(*stack.plane_phases(VIEW, GRID)[::-1]))
-        k_z = np.diff(stack.elevation_numbers(VIEW))[0] / math.cos(math.radians(VIEW.grazing_deg))
-        assert np.angle(deramped[row, column]) == pytest.approx(k_z * height, abs=0.06)
-    one = Stack(WAVELENGTH, stack.offsets_rad, "one")
-    assert one.elevation_numbers(VIEW)[1] == pytest.approx(stack.elevation_numbers(VIEW)[1] / 2)
-
-
 def test_gradients_are_those_of_finite_differences() -> None:
     gaussians, stack = _cloud(4).to(torch.float64), Stack(WAVELENGTH, (0.0, 0.0005, 0.002))
     grid, rays = ImageGrid(4, 5, (1.6, 1.5), (1.8, 1.7)), RayGrid((0.7, 0.8))
