@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from made import FEW_POINTS
+from made import FEW_POINTS, upright
 from sarsplat import ImageGrid, Run, SarsplatError, View, preset, reconstruct, render
 from sarsplat.data import Dataset, read_gaussians_ply, write_gaussians_ply
 from sarsplat.gaussians import SCATTERINGS, Gaussians, Harmonics, Scattering, register_scattering
@@ -41,8 +41,7 @@ def forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def scene(law: Scattering) -> Gaussians:
-    n = len(law.parameters)
-    return Gaussians(torch.randn(n, 3), torch.randn(n, 4), torch.full((n, 3), 0.2), torch.ones(n), law)
+    return upright(torch.randn(len(law.parameters), 3), 0.2, law=law)
 
 
 @pytest.mark.usefixtures("forgotten")

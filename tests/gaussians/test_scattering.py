@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 from compared import check_agreement, differentiated
+from named_scenes import cloud
 
 from sarsplat import ImageGrid, Polarimetric, View, read_gaussians_ply, render, write_gaussians_ply
 from sarsplat.gaussians import SCATTERINGS, Gaussians, Harmonics, NormalLobes, Scattering
@@ -23,14 +24,8 @@ def directions(count: int = 40) -> torch.Tensor:
 
 
 def scene(law: Scattering) -> Gaussians:
-    n, g = len(law.parameters), generator(2)
-    return Gaussians(
-        0.5 * torch.randn(n, 3, generator=g, dtype=torch.float64),
-        torch.randn(n, 4, generator=g, dtype=torch.float64),
-        0.1 + 0.2 * torch.rand(n, 3, generator=g, dtype=torch.float64),
-        0.5 + torch.rand(n, generator=g, dtype=torch.float64),
-        law,
-    )
+    shapes = cloud(len(law.parameters), 2, scale=0.2, kappa=(0.5, 1.5))
+    return replace(shapes.to(torch.float64), scattering=law)
 
 
 LAWS = {
