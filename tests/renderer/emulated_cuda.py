@@ -27,6 +27,7 @@ from sarsplat.renderer import Rendering, render
 from sarsplat.renderer.engines import choice, cuda, on_device
 from sarsplat.renderer.engines.abi import SOURCES
 from sarsplat.renderer.engines.cuda_device import Device
+from sarsplat.renderer.engines.recorder import Recorder
 
 HERE = Path(__file__).with_name("emulator")
 FLAGS = (
@@ -88,7 +89,7 @@ _ONE_AT_A_TIME = threading.Lock()
 """The emulated GPU runs one kernel after the other, whichever threads ask for them."""
 
 
-class Emulator:
+class Emulator(Device):
     """A launcher, as `sarsplat.renderer.engines.cuda` wants it, whose device is the CPU."""
 
     device = torch.device("cpu")
@@ -128,7 +129,7 @@ def guarded() -> Iterator[None]:
 
 @contextmanager
 def on_emulated_gpu(
-    launcher: Emulator | Device, recorder: Callable[[torch.device], EmulatedRecorder] | None = None
+    launcher: Device, recorder: Callable[[torch.device], EmulatedRecorder] | None = None
 ) -> Iterator[None]:
     """Meanwhile tensors on the CPU are on this GPU, which has a queue and recorders for each thread, or this one."""
     engine = choice.Engine(
@@ -146,7 +147,7 @@ def on_emulated_gpu(
     choice._fitting.cache_clear()
 
 
-def render_on(launcher: Emulator | Device, *arguments: Any, **options: Any) -> Rendering:
+def render_on(launcher: Device, *arguments: Any, **options: Any) -> Rendering:
     """`sarsplat.render` with engine="cuda", as this launcher runs it."""
     with on_emulated_gpu(launcher):
         return render(*arguments, engine="cuda", **options)
@@ -166,14 +167,14 @@ _RECORDING = threading.Lock()
 """One thread records at a time, while others launch."""
 
 
-class EmulatedRecorder(TorchDispatchMode):
+class EmulatedRecorder(TorchDispatchMode, Recorder):
     """Records on the emulated GPU.
 
     What is recorded is run at the same time, so that there is something to look at; the first run of it is left out
     instead.
     """
 
-    def __init__(self, launcher: Emulator) -> None:
+    def __init__(self, launcher: Device) -> None:
         super().__init__()
         self.launcher, self.records, self.replays = launcher, 0, 0
         self._steps: list[Callable[[], object]] = []
