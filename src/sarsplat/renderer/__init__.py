@@ -147,11 +147,12 @@ def render(
             raise SarsplatError(
                 f"plane_gradients=True needs another engine ({', '.join(ENGINES)}); the reference has autograd instead"
             )
-        check_for_reference("means", gaussians.means.dtype)
-        for values in (tensors, *(echo.values() for echo in echoes)):
-            check_values(values)
-    if stretched:
+        check_for_reference(tensors)
+        for echo in echoes:
+            check_values(echo.values())
+    elif stretched:
         check_values(by_view)  # the engine checks the rest
+    if stretched:
         return render_stretched(Steps(new_pass), gaussians, views, grid, **options, plane_gradients=plane_gradients)
     options |= {"echoes": echoes, "first_return_depth": first_return_depth}
     if new_pass is None:

@@ -98,14 +98,6 @@ def _check_single(tensors: Mapping[str, Tensor | None], device_type: str, words:
             raise SarsplatError(f"{name} is {tensor.dtype} on {tensor.device}; the {words}")
 
 
-def check_for_reference(name: str, dtype: torch.dtype) -> None:
-    """Raise if the reference does not support the dtype."""
-    if dtype not in (torch.float32, torch.float64):
-        raise SarsplatError(
-            f"{name} is {dtype}, not precise enough for the reference; use torch.float64 or torch.float32"
-        )
-
-
 def check_values(tensors: Mapping[str, Tensor | None], *, by_view: bool = False) -> None:
     """Raise if a value is out of range, with its row; of tensors [V, N, ...] if `by_view`, with a name's last part."""
     for name, tensor in tensors.items():
@@ -115,6 +107,16 @@ def check_values(tensors: Mapping[str, Tensor | None], *, by_view: bool = False)
         good = _in_range(name.rpartition(".")[2] if by_view else name, tensor.flatten(0, 1) if of_pairs else tensor)
         if not bool(good.all()):
             raise SarsplatError(complaint(name, tensor, int((~good).nonzero()[0, 0]), by_view=of_pairs))
+
+
+def check_for_reference(tensors: Mapping[str, Tensor | None], *, by_view: bool = False) -> None:
+    """Raise if the reference does not support the dtype of the first tensor, or a value is out of range."""
+    name, first = next(iter(tensors.items()))
+    if first is not None and first.dtype not in (torch.float32, torch.float64):
+        raise SarsplatError(
+            f"{name} is {first.dtype}, not precise enough for the reference; use torch.float64 or torch.float32"
+        )
+    check_values(tensors, by_view=by_view)
 
 
 def _in_range(name: str, rows: Tensor) -> Tensor:

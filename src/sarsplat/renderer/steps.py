@@ -12,7 +12,7 @@ from sarsplat.gaussians import Gaussians
 from sarsplat.gaussians.gaussians import check_same_kind
 from sarsplat.geometry import ImageGrid, RayGrid, View
 from sarsplat.geometry.view import check_unstretched
-from sarsplat.renderer.checks import check_channels, check_for_reference, check_options, check_shapes, check_values
+from sarsplat.renderer.checks import check_channels, check_for_reference, check_options, check_shapes
 from sarsplat.renderer.engines.choice import passes_for
 from sarsplat.renderer.operations import Steps
 from sarsplat.renderer.rendering import Attenuation, Footprints, Projection, Waves
@@ -63,8 +63,7 @@ def project(
     check_unstretched(views)
     tensors = {**gaussians.tensors(), "shift": shift}
     if (new_pass := passes_for(engine, tensors, grid)) is None:
-        check_for_reference("means", gaussians.means.dtype)
-        check_values(tensors)
+        check_for_reference(tensors)
     return Steps(new_pass).project(gaussians, views, grid, rays=rays, shift=shift)
 
 
@@ -107,8 +106,7 @@ def attenuate(
     }
     _check_batch("rays.centers", p.rays.centers)
     if (new_pass := passes_for(engine, tensors)) is None:
-        check_for_reference("optical_depth", p.optical_depth.dtype)
-        check_values(tensors, by_view=True)
+        check_for_reference(tensors, by_view=True)
     return Steps(new_pass).attenuate(p, rays, first_return_depth=first_return_depth)
 
 
@@ -183,8 +181,7 @@ def splat_parts(
     }
     _check_batch("footprints.centers", footprints.centers)
     if (new_pass := passes_for(engine, tensors, grid)) is None:
-        check_for_reference("cross_sections", cross_sections.dtype)
-        check_values(tensors, by_view=True)
+        check_for_reference(tensors, by_view=True)
     return Steps(new_pass).splat(footprints, cross_sections, grid, waves=waves, imaging_weight=imaging_weight)
 
 

@@ -91,28 +91,24 @@ class GroundBounce(Echo):
             beta0 = self._in_one_call(kernel, s)
         else:
             steps = Steps(s.new_pass, s.cuts)
-            cross_sections, footprints = self._parts(steps, s.gaussians, s.views, s.grid, s.rays, s.shift)
+            cross_sections, footprints = self.parts(s.gaussians, s.views, s.grid, s.rays, shift=s.shift, steps=steps)
             beta0 = steps.splat(footprints, cross_sections[..., None], s.grid)[:, 0]
         # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads
         return beta0 * self.reflectivity.expand(1, 1, s.grid.columns).expand(-1, s.grid.rows, -1)
 
     def parts(
-        self, gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, rays: RayGrid
-    ) -> tuple[Float[Tensor, "v n"], Footprints]:
-        """Return cross-sections by way of a perfectly reflecting ground, m², and their footprints in images."""
-        steps = Steps(passes_for("auto", gaussians.tensors(), grid))
-        return self._parts(steps, gaussians, views, grid, rays, None)
-
-    def _parts(
         self,
-        steps: Steps,
         gaussians: Gaussians,
         views: Sequence[View],
         grid: ImageGrid,
         rays: RayGrid,
-        shift: Float[Tensor, "v 2"] | None,
+        *,
+        shift: Float[Tensor, "v 2"] | None = None,
+        steps: Steps | None = None,
     ) -> tuple[Float[Tensor, "v n"], Footprints]:
+        """Return cross-sections by way of a perfectly reflecting ground, m², and their footprints in images."""
         check_unstretched(views)
+        steps = steps or Steps(passes_for("auto", gaussians.tensors(), grid))
         amplitudes = _gamma0(steps.new_pass, gaussians, views) if self.amplitudes is None else self.amplitudes
         direct, by_ground = lit_both_ways(steps, gaussians, views, grid, rays, self._height)
         product = direct * by_ground
