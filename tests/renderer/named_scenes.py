@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -35,10 +36,6 @@ class Scene:
     ground: Ground | None = None
     first_return_depth: float | None = 0.5
 
-    def options(self) -> dict[str, object]:
-        """What is not differentiable."""
-        return {"rays": self.rays, "imaging_weight": self.imaging_weight, "first_return_depth": self.first_return_depth}
-
     def leaves(self, dtype: torch.dtype) -> dict[str, Tensor]:
         """Differentiable arguments by name, as fresh leaves."""
         optional = {"amplitudes": self.amplitudes, "shift": self.shift, "gain": self.gain}
@@ -53,15 +50,13 @@ class Scene:
         """Render with these leaves."""
         fields = self.gaussians.tensors()
         own = {name: leaves.get(name, tensor.to(leaves["means"])) for name, tensor in fields.items()}
-        arguments: dict[str, object] = {
-            name: leaves[name] for name in ("amplitudes", "shift", "gain") if name in leaves
-        }
+        arguments: dict[str, object] = {name: getattr(self, name) for name in ("rays", "imaging_weight")}
+        arguments["first_return_depth"] = self.first_return_depth
+        arguments |= {name: leaves[name] for name in ("amplitudes", "shift", "gain") if name in leaves}
         if self.ground is not None:
             levels = {name: leaves[f"ground.{name}"] for name in ("gamma0", "exponent") if f"ground.{name}" in leaves}
             arguments["echoes"] = (GroundEcho(replace(self.ground, **levels)),)
-        return renderer(
-            self.gaussians.with_tensors(**own), self.views, self.grid, **arguments, **self.options(), **more
-        )
+        return renderer(self.gaussians.with_tensors(**own), self.views, self.grid, **arguments | more)
 
 
 def cloud(
@@ -92,6 +87,10 @@ def cloud(
     )
     harmonics = Harmonics(normal(count, (degree + 1) ** 2).float(), p_min)
     return Gaussians(*(tensor.float() for tensor in tensors), scattering=harmonics)
+
+
+FEW = partial(cloud, size=(0.5, 0.5, 0.5), scale=0.2, kappa=(0.7, 2.0))
+"""Which overlap and occlude each other."""
 
 
 def changed(gaussians: Gaussians, name: str, index: tuple[Any, ...], value: float) -> Gaussians:
@@ -169,19 +168,13 @@ def _gradcheck(base: Gaussians, **more: object) -> Scene:
 
 GRADCHECK: dict[str, Callable[[], Scene]] = {
     "occluded column": lambda: _gradcheck(replace(_column(), scattering=Harmonics(random_normal(2, 6, 1), 0.05))),
-    "overlapping cloud, degree 3": lambda: _gradcheck(cloud(3, 3, size=(0.5, 0.5, 0.5), scale=0.2, kappa=(0.7, 2.0))),
+    "overlapping cloud, degree 3": lambda: _gradcheck(FEW(3, 3)),
     "opaque, peak weight": lambda: _gradcheck(
         cloud(4, 4, size=(0.4, 0.4, 0.6), scale=0.2, kappa=(2.0, 6.0), degree=1), imaging_weight="peak"
     ),
-    "amplitudes given": lambda: _gradcheck(
-        cloud(4, 6, size=(0.5, 0.5, 0.5), scale=0.2, kappa=(0.5, 2.0)), amplitudes=0.5 + random_normal(3, 2, 4, 2).abs()
-    ),
-    "on the ground": lambda: _gradcheck(
-        cloud(3, 3, size=(0.5, 0.5, 0.5), scale=0.2, kappa=(0.7, 2.0), degree=0), ground=_textured(-0.3)
-    ),
-    "on terrain": lambda: _gradcheck(
-        cloud(3, 3, size=(0.5, 0.5, 0.5), scale=0.2, kappa=(0.7, 2.0), degree=0), ground=_textured(_terrain(0.5, 2))
-    ),
+    "amplitudes given": lambda: _gradcheck(FEW(4, 6), amplitudes=0.5 + random_normal(3, 2, 4, 2).abs()),
+    "on the ground": lambda: _gradcheck(FEW(3, 3, degree=0), ground=_textured(-0.3)),
+    "on terrain": lambda: _gradcheck(FEW(3, 3, degree=0), ground=_textured(_terrain(0.5, 2))),
 }
 """A handful of Gaussians each, with overlap and occlusion, small enough for finite differences of every parameter."""
 

@@ -10,9 +10,10 @@ from compared import check_agreement, check_gradients, differentiated
 from named_scenes import cloud
 
 from made import upright
-from sarsplat import Footprints, Gaussians, Harmonics, ImageGrid, Polarimetric, Stack, View, render, render_covariances
+from sarsplat import Gaussians, ImageGrid, Polarimetric, Stack, View, render, render_covariances
 from sarsplat.geometry import RayGrid, radar_frame
-from sarsplat.renderer.covariances import elevated, lit_planes
+from sarsplat.renderer.covariances import Sections, lit_planes
+from sarsplat.renderer.engines import cpu
 
 WAVELENGTH, VIEW = 0.031, View(20.0, 45.0)
 
@@ -251,25 +252,26 @@ def test_cross_sections_of_pairs_and_gradients_are_those_of_plain_torch(count, p
     def normal(*shape: int) -> torch.Tensor:
         return torch.randn(shape, generator=g)
 
-    inputs = [
-        3 * normal(count, 3),
-        normal(count, 4),
-        0.1 + 0.5 * normal(count, 3).abs(),
-        normal(v, count, 3).abs() + 0.3,
-        normal(v, count, 1 if shared else pairs),
-        *([normal(v, count, pairs)] if imaginary else []),
-    ]
-    numbers = np.random.default_rng(0).normal(size=(v, pairs))
-    numbers[0, 0] = 0.0
+    leaves = {
+        "means": 3 * normal(count, 3),
+        "quaternions": normal(count, 4),
+        "scales": 0.1 + 0.5 * normal(count, 3).abs(),
+        "roots": normal(v, count, 3).abs() + 0.3,
+        "real": normal(v, count, 1 if shared else pairs),
+        **({"imaginary": normal(v, count, pairs)} if imaginary else {}),
+    }
+    constants = {
+        "frames": torch.from_numpy(np.stack([radar_frame(view) for view in VIEWS])),
+        "numbers": normal(v, pairs),
+    }
+    constants["numbers"][0, 0] = 0.0
     cotangents = normal(v, count, 2 * pairs), normal(v, count, 2)
     found = []
-    for engine, dtype in (("cpu", torch.float32), ("reference", torch.float64)):
-        own = [each.to(dtype).requires_grad_() for each in inputs]
-        law = Harmonics(torch.ones(count, 1, dtype=dtype))
-        in_cells = Gaussians(*own[:3], optical_depth=torch.ones(count, dtype=dtype), scattering=law)
-        pixels = Footprints(torch.zeros(v, count, 2, dtype=dtype), own[3])
-        outputs = elevated(in_cells, VIEWS, pixels, numbers, own[4], own[5] if imaginary else None, engine)
-        gradients = torch.autograd.grad(outputs, own, [each.to(dtype) for each in cotangents])
+    for new_pass, dtype in ((cpu.Pass, torch.float32), (None, torch.float64)):
+        own = {name: each.to(dtype).requires_grad_() for name, each in leaves.items()}
+        named = own | {name: each.to(dtype) for name, each in constants.items()}
+        outputs = Sections().on(new_pass, *(named.get(name) for name in Sections.names))
+        gradients = torch.autograd.grad(outputs, list(own.values()), [each.to(dtype) for each in cotangents])
         found.append([*outputs, *gradients])
     for own, true in zip(*found, strict=True):
         assert float((own.double() - true).detach().norm()) <= 2e-6 * float(true.detach().norm())

@@ -63,17 +63,16 @@ def test_machine_code_is_kept(cache_folder, monkeypatch):
     assert len(list(cache_folder.iterdir())) == 4  # and nothing half-written
 
 
-@pytest.mark.parametrize("content", [b"", b"short", bytes(200)])
-def test_a_damaged_file_is_compiled_again(content, cache_folder):
+def test_a_damaged_file_is_compiled_again(cache_folder):
     compiler = FakeCompiler()
     expected = nvrtc.machine_code("sm_90", compiler)
     (path,) = cache_folder.iterdir()
     good = path.read_bytes()
-    for damaged in (content, good[:-1], good[:-1] + b"?"):
+    for damaged in (b"", b"short", bytes(200), good[:-1], good[:-1] + b"?"):
         path.write_bytes(damaged)
         assert nvrtc.machine_code("sm_90", compiler) == expected
         assert path.read_bytes() == good
-    assert len(compiler.asked) == 4
+    assert len(compiler.asked) == 6
 
 
 def test_a_cache_folder_that_cannot_be_written(cache_folder):

@@ -10,7 +10,20 @@ import pytest
 import torch
 from compared import check_agreement, check_gradients, differentiated, relative
 from emulated_cuda import Emulator, render_on
-from named_scenes import CLOUDS, FEW_PIXELS, FEW_RAYS, GRID, UNUSUAL, VIEWS, cloud, wall, with_scales
+from named_scenes import (
+    CLOUDS,
+    FEW,
+    FEW_PIXELS,
+    FEW_RAYS,
+    GRID,
+    UNUSUAL,
+    VIEWS,
+    Scene,
+    cloud,
+    random_normal,
+    wall,
+    with_scales,
+)
 from test_cpu_engine import AVAILABLE
 from torch import Tensor
 
@@ -95,23 +108,16 @@ def test_feet_are_pressed_flat() -> None:
 # ---- gradients -------------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("given", [False, True])
 def test_gradients_of_the_reference_are_finite_differences(given: bool) -> None:
-    scene = cloud(4, 3, size=(0.6, 0.5, 0.5), scale=0.2, kappa=(0.7, 2.0), degree=2)
-    views, generator = (VIEWS[0], VIEWS[2]), torch.Generator().manual_seed(1)
-    leaves = {name: tensor.double() for name, tensor in scene.tensors().items()}
-    leaves["shift"] = 0.1 * torch.randn(2, 2, generator=generator, dtype=torch.float64)
-    leaves["reflectivity"] = torch.tensor(0.6, dtype=torch.float64)
+    scene = Scene(FEW(4, 3, degree=2), (VIEWS[0], VIEWS[2]), FEW_PIXELS, FEW_RAYS, shift=0.1 * random_normal(1, 2, 2))
+    leaves = scene.leaves(torch.float64) | {"reflectivity": torch.tensor(0.6, dtype=torch.float64, requires_grad=True)}
     if given:
-        leaves["own"] = 0.5 + torch.rand(2, 4, generator=generator, dtype=torch.float64)
+        leaves["own"] = (0.5 + random_normal(2, 2, 4).abs()).double().requires_grad_()
         del leaves["scattering"]
-    leaves = {name: tensor.requires_grad_() for name, tensor in leaves.items()}
 
     def image(*values: Tensor) -> list[Tensor]:
         named = dict(zip(leaves, values, strict=True))
-        fields = {name: named.get(name, tensor.double()) for name, tensor in scene.tensors().items()}
         bounce = GroundBounce(level(torch.float64), named["reflectivity"], named.get("own"))
-        how = {"rays": FEW_RAYS, "shift": named["shift"], "echoes": [bounce], "cuts": False}
-        rendering = render_reference(scene.with_tensors(**fields), views, FEW_PIXELS, **how)  # type: ignore[arg-type]
-        return [rendering.echoes[0]]
+        return [scene.call(render_reference, named, echoes=[bounce], cuts=False).echoes[0]]
 
     check_gradients(image, tuple(leaves.values()))
 

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ import torch
 import trimesh
 from compared import check_agreement, check_gradients, differentiated, relative
 from emulated_cuda import Emulator
-from named_scenes import CLOUDS, FEW_PIXELS, FEW_RAYS, GRID, UNUSUAL, cloud
+from named_scenes import CLOUDS, FEW, FEW_PIXELS, FEW_RAYS, GRID, UNUSUAL, Scene, cloud
 from torch import Tensor
 
 from sarsplat import Gaussians, Ground, ScatteringLaw, simulate_images, simulate_raycast
@@ -25,6 +26,7 @@ from sarsplat.renderer.stretched import render_stretched
 
 PLAIN = (View(25.0, -40.0, 10.0, aloft=True), View(200.0, 60.0, -70.0, "left", aloft=True))
 STRETCHES = (1.07, 0.8)
+SHIFT, GAIN = torch.tensor([[0.1, -0.2], [0.05, 0.1]]), torch.tensor([0.7, 1.4])
 VIEWS = tuple(replace(view, stretch=stretch) for view, stretch in zip(PLAIN, STRETCHES, strict=True))
 
 
@@ -48,23 +50,18 @@ def test_it_is_the_image_of_narrower_pixels_with_less_power_each(engine: str) ->
 
 @pytest.mark.parametrize("given", [False, True])
 def test_gradients_are_finite_differences(given: bool) -> None:
-    scene = cloud(4, 3, size=(0.6, 0.5, 0.5), scale=0.2, kappa=(0.7, 2.0), degree=2)
-    leaves = {name: tensor.double() for name, tensor in scene.tensors().items()}
-    leaves["shift"] = torch.tensor([[0.1, -0.2], [0.05, 0.1]], dtype=torch.float64)
-    leaves["gain"] = torch.tensor([0.7, 1.4], dtype=torch.float64)
-    if given:
-        leaves["amplitudes"] = 0.5 + torch.rand(2, 4, 1, generator=torch.Generator().manual_seed(2)).double()
-        del leaves["scattering"]
+    amplitudes = 0.5 + torch.rand(2, 4, 1, generator=torch.Generator().manual_seed(2)) if given else None
+    scene = Scene(FEW(4, 3, degree=2), VIEWS, FEW_PIXELS, FEW_RAYS, amplitudes, SHIFT, GAIN)
+    leaves = scene.leaves(torch.float64)
+
+    def uncut(*arguments: Any, first_return_depth: float, **options: Any) -> Rendering:
+        return render_stretched(Steps(None, cuts=False), *arguments, **options)
 
     def outputs(*values: Tensor) -> list[Tensor]:
-        named = dict(zip(leaves, values, strict=True))
-        fields = {name: named.get(name, tensor.double()) for name, tensor in scene.tensors().items()}
-        how = {name: named.get(name) for name in ("shift", "gain", "amplitudes")}
-        scaled = scene.with_tensors(**fields)
-        rendering = render_stretched(Steps(None, cuts=False), scaled, VIEWS, FEW_PIXELS, rays=FEW_RAYS, **how)
+        rendering = scene.call(uncut, dict(zip(leaves, values, strict=True)))
         return [rendering.images, rendering.cross_sections]
 
-    check_gradients(outputs, tuple(tensor.requires_grad_() for tensor in leaves.values()))
+    check_gradients(outputs, tuple(leaves.values()))
 
 
 def test_without_a_stretch_it_is_what_render_shows() -> None:
@@ -77,8 +74,9 @@ def test_without_a_stretch_it_is_what_render_shows() -> None:
 
 def everything(scene: Gaussians, dtype: torch.dtype, renderer: Callable[..., Rendering]) -> dict[str, Tensor]:
     """Image, and gradients with respect to all tensors, shifts and gains."""
-    more = {"shift": torch.tensor([[0.1, -0.2], [0.05, 0.1]]), "gain": torch.tensor([0.7, 1.4])}
-    return differentiated(scene, dtype, lambda scene, **how: renderer(scene, VIEWS, GRID, **how).images, **more)
+    return differentiated(
+        scene, dtype, lambda scene, **how: renderer(scene, VIEWS, GRID, **how).images, shift=SHIFT, gain=GAIN
+    )
 
 
 @pytest.mark.parametrize("name", CLOUDS)
