@@ -104,10 +104,10 @@ def test_what_an_engine_has_not_is_left_to_plain_torch() -> None:
 def test_the_twin_runs() -> None:
     """Of an operation that GPUs do not have."""
     shapes = (5, 3), (5, 4), (5, 3), (2, 3, 3), (2, 5, 3), (2, 4), (2, 5, 1)
-    inputs = [torch.rand(shape) for shape in shapes]
-    expected = Sections().plain(*inputs, None)
+    inputs = [*(torch.rand(shape) for shape in shapes), None]
+    expected = Sections().plain(*inputs)
     for new_pass in (None, lambda: cuda.Pass(None)):
-        assert all(torch.equal(*both) for both in zip(Sections().on(new_pass, *inputs, None), expected, strict=True))
+        assert all(torch.equal(*both) for both in zip(Sections().on(new_pass, *inputs), expected, strict=True))
 
 
 # ---- what Python reads of the C declarations is what a compiler makes of them ----------------------------------------
