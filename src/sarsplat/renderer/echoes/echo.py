@@ -48,16 +48,8 @@ class Sighting:
 
     Parameters
     ----------
-    gaussians : Gaussians
-        The scene, N Gaussians.
-    views : sequence of View
-        V views.
-    grid : ImageGrid
-        Pixels of the images.
-    rays : RayGrid
-        Rays of the computation plane.
-    shift : Tensor [V, 2] or None
-        Displacement (azimuth, range) of each image, m.
+    gaussians, views, grid, rays, shift
+        As at `sarsplat.render`, N Gaussians and V views.
     lit_area : Tensor [V, N]
         Area across the line of sight over which each Gaussian is seen, m²; differentiable only by the steps of a
         rendering (`sarsplat.attenuate`).
