@@ -161,20 +161,21 @@ def _textured(height_m: float | Terrain) -> Ground:
     return Ground(0.2 + 0.3 * random_normal(9, 3, 4).abs(), 0.9, height_m, torch.tensor(1.5))
 
 
-def _gradcheck(base: Gaussians, **more: object) -> Scene:
+def few_pixels(base: Gaussians, **more: object) -> Scene:
+    """Two views of so few rays and pixels that finite differences of every number are fast."""
     both, shift, gain = (VIEWS[0], VIEWS[2]), 0.1 * random_normal(1, 2, 2), torch.tensor([1.3, 0.7])
     return replace(Scene(base, both, FEW_PIXELS, FEW_RAYS, shift=shift, gain=gain), **more)
 
 
 GRADCHECK: dict[str, Callable[[], Scene]] = {
-    "occluded column": lambda: _gradcheck(replace(_column(), scattering=Harmonics(random_normal(2, 6, 1), 0.05))),
-    "overlapping cloud, degree 3": lambda: _gradcheck(FEW(3, 3)),
-    "opaque, peak weight": lambda: _gradcheck(
+    "occluded column": lambda: few_pixels(replace(_column(), scattering=Harmonics(random_normal(2, 6, 1), 0.05))),
+    "overlapping cloud, degree 3": lambda: few_pixels(FEW(3, 3)),
+    "opaque, peak weight": lambda: few_pixels(
         cloud(4, 4, size=(0.4, 0.4, 0.6), scale=0.2, kappa=(2.0, 6.0), degree=1), imaging_weight="peak"
     ),
-    "amplitudes given": lambda: _gradcheck(FEW(4, 6), amplitudes=0.5 + random_normal(3, 2, 4, 2).abs()),
-    "on the ground": lambda: _gradcheck(FEW(3, 3, degree=0), ground=_textured(-0.3)),
-    "on terrain": lambda: _gradcheck(FEW(3, 3, degree=0), ground=_textured(_terrain(0.5, 2))),
+    "amplitudes given": lambda: few_pixels(FEW(4, 6), amplitudes=0.5 + random_normal(3, 2, 4, 2).abs()),
+    "on the ground": lambda: few_pixels(FEW(3, 3, degree=0), ground=_textured(-0.3)),
+    "on terrain": lambda: few_pixels(FEW(3, 3, degree=0), ground=_textured(_terrain(0.5, 2))),
 }
 """A handful of Gaussians each, with overlap and occlusion, small enough for finite differences of every parameter."""
 

@@ -10,20 +10,7 @@ import pytest
 import torch
 from compared import check_agreement, check_gradients, differentiated, relative
 from emulated_cuda import Emulator, render_on
-from named_scenes import (
-    CLOUDS,
-    FEW,
-    FEW_PIXELS,
-    FEW_RAYS,
-    GRID,
-    UNUSUAL,
-    VIEWS,
-    Scene,
-    cloud,
-    random_normal,
-    wall,
-    with_scales,
-)
+from named_scenes import CLOUDS, FEW, GRID, UNUSUAL, VIEWS, cloud, few_pixels, random_normal, wall, with_scales
 from test_cpu_engine import AVAILABLE
 from torch import Tensor
 
@@ -108,7 +95,7 @@ def test_feet_are_pressed_flat() -> None:
 # ---- gradients -------------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("given", [False, True])
 def test_gradients_of_the_reference_are_finite_differences(given: bool) -> None:
-    scene = Scene(FEW(4, 3, degree=2), (VIEWS[0], VIEWS[2]), FEW_PIXELS, FEW_RAYS, shift=0.1 * random_normal(1, 2, 2))
+    scene = few_pixels(FEW(4, 3, degree=2), gain=None)
     leaves = scene.leaves(torch.float64) | {"reflectivity": torch.tensor(0.6, dtype=torch.float64, requires_grad=True)}
     if given:
         leaves["own"] = (0.5 + random_normal(2, 2, 4).abs()).double().requires_grad_()

@@ -13,7 +13,7 @@ import torch
 import trimesh
 from compared import check_agreement, check_gradients, differentiated, relative
 from emulated_cuda import Emulator
-from named_scenes import CLOUDS, FEW, FEW_PIXELS, FEW_RAYS, GRID, UNUSUAL, Scene, cloud
+from named_scenes import CLOUDS, FEW, GRID, UNUSUAL, cloud, few_pixels
 from torch import Tensor
 
 from sarsplat import Gaussians, Ground, ScatteringLaw, simulate_images, simulate_raycast
@@ -26,7 +26,6 @@ from sarsplat.renderer.stretched import render_stretched
 
 PLAIN = (View(25.0, -40.0, 10.0, aloft=True), View(200.0, 60.0, -70.0, "left", aloft=True))
 STRETCHES = (1.07, 0.8)
-SHIFT, GAIN = torch.tensor([[0.1, -0.2], [0.05, 0.1]]), torch.tensor([0.7, 1.4])
 VIEWS = tuple(replace(view, stretch=stretch) for view, stretch in zip(PLAIN, STRETCHES, strict=True))
 
 
@@ -51,7 +50,7 @@ def test_it_is_the_image_of_narrower_pixels_with_less_power_each(engine: str) ->
 @pytest.mark.parametrize("given", [False, True])
 def test_gradients_are_finite_differences(given: bool) -> None:
     amplitudes = 0.5 + torch.rand(2, 4, 1, generator=torch.Generator().manual_seed(2)) if given else None
-    scene = Scene(FEW(4, 3, degree=2), VIEWS, FEW_PIXELS, FEW_RAYS, amplitudes, SHIFT, GAIN)
+    scene = few_pixels(FEW(4, 3, degree=2), views=VIEWS, amplitudes=amplitudes)
     leaves = scene.leaves(torch.float64)
 
     def uncut(*arguments: Any, first_return_depth: float, **options: Any) -> Rendering:
@@ -74,9 +73,8 @@ def test_without_a_stretch_it_is_what_render_shows() -> None:
 
 def everything(scene: Gaussians, dtype: torch.dtype, renderer: Callable[..., Rendering]) -> dict[str, Tensor]:
     """Image, and gradients with respect to all tensors, shifts and gains."""
-    return differentiated(
-        scene, dtype, lambda scene, **how: renderer(scene, VIEWS, GRID, **how).images, shift=SHIFT, gain=GAIN
-    )
+    more = {"shift": torch.tensor([[0.1, -0.2], [0.05, 0.1]]), "gain": torch.tensor([0.7, 1.4])}
+    return differentiated(scene, dtype, lambda scene, **how: renderer(scene, VIEWS, GRID, **how).images, **more)
 
 
 @pytest.mark.parametrize("name", CLOUDS)
