@@ -224,13 +224,14 @@ def test_aloft_views_from_all_sides_bound_the_region_by_themselves() -> None:
     assert inside(region, points).all()
 
 
-def test_dim_pixels_do_not_count():
+def test_dim_pixels_do_not_count(monkeypatch):
     plain = masks(box_points())
     images = plain.copy()
     images[:, 0, 0] = np.maximum(images[:, 0, 0], 5e-4)  # −33 dB
     region, expected = bounded_region(images, VIEWS, GRID), bounded_region(plain, VIEWS, GRID)
     assert np.array_equal([*region.low, *region.high], [*expected.low, *expected.high])
-    loose = bounded_region(images, VIEWS, GRID, threshold_db=-40.0)
+    monkeypatch.setattr("sarsplat.gaussians.initialise.BRIGHT_DB", -40.0)
+    loose = bounded_region(images, VIEWS, GRID)
     assert loose.high[2] > expected.high[2] + 0.5  # now the corner counts, which is near: what is high comes early
 
 

@@ -51,10 +51,7 @@ class Region:
 
 
 def bounded_region(
-    power: Float[np.ndarray, "v {grid.rows} {grid.columns}"],
-    views: Sequence[View],
-    grid: ImageGrid,
-    threshold_db: float = BRIGHT_DB,
+    power: Float[np.ndarray, "v {grid.rows} {grid.columns}"], views: Sequence[View], grid: ImageGrid
 ) -> Region:
     """Region that can contain the target if nothing else returns power: an intersection of half-spaces.
 
@@ -62,12 +59,12 @@ def bounded_region(
     ground z = 0. These bounds contain all of the target, also its hidden parts. Aloft, there is no ground, and all
     radars may be on one side; then hidden parts on the other side may be cut off.
 
-    `power` is β⁰ of the training images, linear, without ground; bright pixels are at least `threshold_db` above
+    `power` is β⁰ of the training images, linear, without ground; bright pixels are at least `BRIGHT_DB` above
     `usual_peak` of all. Raise if an image has no bright pixel, or the bounds leave no space.
     """
     from scipy.optimize import linprog  # slow to import, and only needed by trainings
 
-    bright = brighter(power, threshold_db, usual_peak(power))
+    bright = brighter(power, BRIGHT_DB, usual_peak(power))
     aloft = views[0].aloft
     normals, offsets = ([], []) if aloft else ([np.array([0.0, 0.0, -1.0])], [0.0])
     shown: list[tuple[Float64[np.ndarray, " 3"], float]] = []
@@ -76,7 +73,7 @@ def bounded_region(
         if not mask.any():
             raise SarsplatError(
                 f"the image at azimuth {view.azimuth_deg:g}°, grazing {view.grazing_deg:g}° is dark everywhere "
-                f"({threshold_db:g} dB below the brightest pixel of the set); leave it out or check the simulation"
+                f"({BRIGHT_DB:g} dB below the brightest pixel of the set); leave it out or check the simulation"
             )
         azimuth, slant_range = view.look.gradients
         columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
