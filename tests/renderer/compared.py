@@ -1,13 +1,17 @@
 """Comparison of renderings: step by step, with their gradients, between engines and with finite differences."""
 
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from types import SimpleNamespace
 from typing import Any
 
+import pytest
 import torch
 from torch import Tensor
 
 from sarsplat import Gaussians, ImageGrid, RayGrid, View
+from sarsplat.renderer import reference
 
 
 def chained(
@@ -16,7 +20,7 @@ def chained(
     views: Sequence[View],
     grid: ImageGrid,
     *,
-    rays: RayGrid | None,
+    rays: RayGrid,
     imaging_weight: str,
     first_return_depth: float | None,
     amplitudes: Tensor | None = None,
@@ -24,7 +28,6 @@ def chained(
     gain: Tensor | None = None,
 ) -> SimpleNamespace:
     """With these steps; as a rendering is."""
-    rays = rays or RayGrid.for_image(grid)
     p = steps.project(gaussians, views, grid, rays=rays, shift=shift)
     lit = steps.attenuate(p, rays, first_return_depth=first_return_depth)
     cross_sections = (p.amplitudes if amplitudes is None else amplitudes) * lit.lit_area[..., None]
@@ -69,6 +72,16 @@ def same_bits(first: dict[str, torch.Tensor | None], second: dict[str, torch.Ten
         )
         for mine, theirs in ((mine, second[name]) for name, mine in first.items())
     )
+
+
+@contextmanager
+def without_cuts() -> Iterator[None]:
+    """Meanwhile the reference has no footprint cuts and no early stop, so that finite differences are valid."""
+    with pytest.MonkeyPatch.context() as patch:
+        # touched rays end where float64 does
+        for name, value in {"MIN_RAY_DEPTH": 1e-18, "MIN_TRANSMITTANCE": 0.0, "IMAGE_CUT": math.inf}.items():
+            patch.setattr(reference, name, value)
+        yield
 
 
 def check_gradients(function: Callable[..., Sequence[Tensor]], leaves: Sequence[Tensor], step: float = 1e-6) -> None:

@@ -50,8 +50,8 @@ class Scene:
         """Render with these leaves."""
         fields = self.gaussians.tensors()
         own = {name: leaves.get(name, tensor.to(leaves["means"])) for name, tensor in fields.items()}
-        arguments: dict[str, object] = {name: getattr(self, name) for name in ("rays", "imaging_weight")}
-        arguments["first_return_depth"] = self.first_return_depth
+        arguments: dict[str, object] = {"rays": self.rays or RayGrid.for_image(self.grid)}
+        arguments |= {name: getattr(self, name) for name in ("imaging_weight", "first_return_depth")}
         arguments |= {name: leaves[name] for name in ("amplitudes", "shift", "gain") if name in leaves}
         if self.ground is not None:
             levels = {name: leaves[f"ground.{name}"] for name in ("gamma0", "exponent") if f"ground.{name}" in leaves}

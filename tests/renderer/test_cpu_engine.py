@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
-from compared import check_gradients, relative
+from compared import check_gradients, relative, without_cuts
 from named_scenes import GRADCHECK, GRID, MATRIX, VIEWS, Scene, cloud, with_scales
 
 from sarsplat import Gaussians, SarsplatError, radar_frame
@@ -207,31 +207,34 @@ FEW_SCENES = pytest.mark.parametrize("name", GRADCHECK)
 
 
 @FEW_SCENES
+@without_cuts()
 def test_every_argument_of_every_output_of_the_reference(name):
     scene = GRADCHECK[name]()
     leaves = scene.leaves(torch.float64)
 
     def outputs(*tensors):
-        rendering = scene.call(render_reference, dict(zip(leaves, tensors, strict=True)), cuts=False)
+        rendering = scene.call(render_reference, dict(zip(leaves, tensors, strict=True)))
         return (rendering.images, rendering.cross_sections, *(m.transmittance for m in rendering.ray_maps))
 
     check_gradients(outputs, tuple(leaves.values()))
 
 
 @FEW_SCENES
+@without_cuts()
 def test_the_scenes_of_these_occlude(name):
     scene = GRADCHECK[name]()
-    rendering = scene.call(render_reference, scene.leaves(torch.float64), cuts=False)
+    rendering = scene.call(render_reference, scene.leaves(torch.float64))
     assert min(float(m.transmittance.detach().min()) for m in rendering.ray_maps) < 0.3
     # whoever stands in the shadow of others loses a good part of its lit area
     shares = []
     for i in range(len(scene.gaussians)):
         alone = scene.gaussians[i].to(torch.float64)
-        free = render_reference(alone, scene.views, scene.grid, rays=scene.rays, cuts=False).lit_area[:, 0]
+        free = render_reference(alone, scene.views, scene.grid, rays=scene.rays).lit_area[:, 0]
         shares.append(float((rendering.lit_area[:, i] / free).min()))
     assert min(shares) < 0.7
 
 
+@without_cuts()
 def test_gradients_of_waves():
     """Phases that turn across footprints, which no rendering of power has."""
     g = torch.Generator().manual_seed(3)
@@ -241,7 +244,7 @@ def test_gradients_of_waves():
 
     def waves(centers, roots, cross_sections, slopes):
         turned = Waves(numbers, slopes)
-        return [splat_reference(Footprints(centers, roots), cross_sections, GRID, waves=turned, cuts=False)]
+        return [splat_reference(Footprints(centers, roots), cross_sections, GRID, waves=turned)]
 
     leaves = pixels.centers, pixels.roots, parts, slopes
     check_gradients(waves, tuple(t.detach().clone().requires_grad_() for t in leaves))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from compared import check_agreement, check_gradients, differentiated, relative
+from compared import check_agreement, check_gradients, differentiated, relative, without_cuts
 from emulated_cuda import Emulator, render_on
 from named_scenes import CLOUDS, FEW, GRID, UNUSUAL, VIEWS, cloud, few_pixels, random_normal, wall, with_scales
 from test_cpu_engine import AVAILABLE
@@ -94,6 +94,7 @@ def test_feet_are_pressed_flat() -> None:
 
 # ---- gradients -------------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("given", [False, True])
+@without_cuts()
 def test_gradients_of_the_reference_are_finite_differences(given: bool) -> None:
     scene = few_pixels(FEW(4, 3, degree=2), gain=None)
     leaves = scene.leaves(torch.float64) | {"reflectivity": torch.tensor(0.6, dtype=torch.float64, requires_grad=True)}
@@ -104,7 +105,7 @@ def test_gradients_of_the_reference_are_finite_differences(given: bool) -> None:
     def image(*values: Tensor) -> list[Tensor]:
         named = dict(zip(leaves, values, strict=True))
         bounce = GroundBounce(level(torch.float64), named["reflectivity"], named.get("own"))
-        return [scene.call(render_reference, named, echoes=[bounce], cuts=False).echoes[0]]
+        return [scene.call(render_reference, named, echoes=[bounce]).echoes[0]]
 
     check_gradients(image, tuple(leaves.values()))
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from compared import check_agreement, check_gradients, differentiated, relative
+from compared import check_agreement, check_gradients, differentiated, relative, without_cuts
 from emulated_cuda import Emulator
 from named_scenes import CLOUDS, FEW, GRID, UNUSUAL, cloud, few_pixels
 from torch import Tensor
@@ -48,13 +48,14 @@ def test_it_is_the_image_of_narrower_pixels_with_less_power_each(engine: str) ->
 
 
 @pytest.mark.parametrize("given", [False, True])
+@without_cuts()
 def test_gradients_are_finite_differences(given: bool) -> None:
     amplitudes = 0.5 + torch.rand(2, 4, 1, generator=torch.Generator().manual_seed(2)) if given else None
     scene = few_pixels(FEW(4, 3, degree=2), views=VIEWS, amplitudes=amplitudes)
     leaves = scene.leaves(torch.float64)
 
     def uncut(*arguments: Any, first_return_depth: float, **options: Any) -> Rendering:
-        return render_stretched(Steps(None, cuts=False), *arguments, **options)
+        return render_stretched(Steps(None), *arguments, **options)
 
     def outputs(*values: Tensor) -> list[Tensor]:
         rendering = scene.call(uncut, dict(zip(leaves, values, strict=True)))

@@ -69,8 +69,8 @@ def render_with(
 class Steps:
     """Steps of a rendering: by an engine's passes, or by the reference if `new_pass` is None."""
 
-    def __init__(self, new_pass: NewPass | None, cuts: bool = True) -> None:
-        self.new_pass, self._cuts = new_pass, cuts
+    def __init__(self, new_pass: NewPass | None) -> None:
+        self.new_pass = new_pass
 
     def project(
         self,
@@ -99,7 +99,7 @@ class Steps:
         """Run `sarsplat.attenuate`."""
         p = projection
         if self.new_pass is None:
-            return attenuate_reference(p, rays, first_return_depth=first_return_depth, cuts=self._cuts)
+            return attenuate_reference(p, rays, first_return_depth=first_return_depth)
         step = Attenuate(self.new_pass(), rays, first_return_depth)
         lit_area, *traced = step.of(p.rays.centers, p.rays.roots, p.optical_depth, p.range_m, p.tilt)
         return Attenuation(lit_area, _ray_maps(step, traced))
@@ -115,9 +115,7 @@ class Steps:
     ) -> Float[Tensor, "v c rows columns"]:
         """Run `sarsplat.splat` of real channels; with waves, alternating real and imaginary parts."""
         if self.new_pass is None:
-            return splat_reference(
-                footprints, cross_sections, grid, waves=waves, imaging_weight=imaging_weight, cuts=self._cuts
-            )
+            return splat_reference(footprints, cross_sections, grid, waves=waves, imaging_weight=imaging_weight)
         turns, slopes = (None, None) if waves is None else (waves.numbers / (2 * math.pi), waves.slopes)
         step = Splat(self.new_pass(), grid, imaging_weight == "peak", None if turns is None else turns.contiguous())
         return step.of(footprints.centers, footprints.roots, cross_sections, slopes)[0]

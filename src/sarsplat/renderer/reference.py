@@ -30,7 +30,6 @@ from sarsplat.renderer.rendering import (
     footprints_of,
 )
 
-_UNCUT_RADIUS = 9.0  # extent of the lattice without cuts, standard deviations: e⁻⁴⁰ is below float64's resolution
 _MAX_PAIRS = 1 << 26  # maximum pairs of Gaussians and rays in one view; in float64 about 5 GB and 10 s
 
 
@@ -39,33 +38,27 @@ def render_reference(
     views: Sequence[View],
     grid: ImageGrid,
     *,
-    rays: RayGrid | None = None,
+    rays: RayGrid,
     amplitudes: Float[Tensor, "v n c"] | None = None,
     shift: Float[Tensor, "v 2"] | None = None,
     gain: Float[Tensor, " v"] | None = None,
     imaging_weight: str = "area",
     echoes: Sequence[Echo] = (),
     first_return_depth: float | None = None,
-    cuts: bool = True,
 ) -> Rendering:
-    """Render as `sarsplat.render` does.
-
-    `cuts=False` removes the footprint cuts and the early stop, so that finite differences are valid; the other
-    arguments are documented at `sarsplat.render`.
-    """
-    rays = rays or RayGrid.for_image(grid)
+    """Render as `sarsplat.render` does."""
     projection = project_reference(gaussians, views, grid, rays=rays, shift=shift)
     in_sight = left_in_sight(echoes, gaussians.means, views, grid, rays, shift)
     if in_sight is not None:
         projection = replace(projection, optical_depth=projection.optical_depth * in_sight)
     wants_ends = any(echo.wants_ray_ends for echo in echoes)
     depth = first_return_depth or 1.0 if wants_ends else first_return_depth
-    attenuation = attenuate_reference(projection, rays, first_return_depth=depth, cuts=cuts)
+    attenuation = attenuate_reference(projection, rays, first_return_depth=depth)
     amplitudes = projection.amplitudes if amplitudes is None else amplitudes
     cross_sections = amplitudes * attenuation.lit_area[..., None]  # σ = P A_c Σ w
-    images = splat_reference(projection.pixels, cross_sections, grid, imaging_weight=imaging_weight, cuts=cuts)
+    images = splat_reference(projection.pixels, cross_sections, grid, imaging_weight=imaging_weight)
     ends = ends_of(attenuation.ray_maps) if wants_ends and attenuation.ray_maps else None
-    sighting = Sighting(gaussians, views, grid, rays, shift, attenuation.lit_area, ends, None, cuts)
+    sighting = Sighting(gaussians, views, grid, rays, shift, attenuation.lit_area, ends, None)
     images, returns = with_echoes(images, echoes, sighting)
     return Rendering(
         images if gain is None else images * gain[:, None, None, None],
@@ -77,16 +70,11 @@ def render_reference(
 
 
 def project_reference(
-    gaussians: Gaussians,
-    views: Sequence[View],
-    grid: ImageGrid,
-    *,
-    rays: RayGrid | None = None,
-    shift: Float[Tensor, "v 2"] | None = None,
+    gaussians: Gaussians, views: Sequence[View], grid: ImageGrid, *, rays: RayGrid, shift: Float[Tensor, "v 2"] | None
 ) -> Projection:
     """Project as `sarsplat.project` does."""
     means = gaussians.means
-    spacing = means.new_tensor((rays or RayGrid.for_image(grid)).spacing_m)
+    spacing = means.new_tensor(rays.spacing_m)
     response = means.new_tensor(grid.response_variance_m2)
     with torch.autocast(means.device.type, enabled=False):  # no rounding to 16 bits
         frames = torch.from_numpy(np.stack([view.look.frame for view in views])).to(means)[:, None]
@@ -127,14 +115,12 @@ def pressed_flat_reference(
     return footprints_of(centers, (var_azimuth, both, var_range), flat, grid)
 
 
-def attenuate_reference(
-    projection: Projection, rays: RayGrid, *, first_return_depth: float | None = None, cuts: bool = True
-) -> Attenuation:
-    """Attenuate as `sarsplat.attenuate` does; `cuts` as at `render_reference`."""
+def attenuate_reference(projection: Projection, rays: RayGrid, *, first_return_depth: float | None) -> Attenuation:
+    """Attenuate as `sarsplat.attenuate` does."""
     p = projection
     with torch.autocast(p.optical_depth.device.type, enabled=False):
         by_view = [
-            _attenuate_view(*view, rays, cuts, first_return_depth)
+            _attenuate_view(*view, rays, first_return_depth)
             for view in zip(p.rays.centers, p.rays.roots, p.optical_depth, p.range_m, p.tilt, strict=True)
         ]
         lit_area = rays.cell_area * torch.stack([weight for weight, _ in by_view])
@@ -148,9 +134,8 @@ def splat_reference(
     *,
     waves: Waves | None = None,
     imaging_weight: str = "area",
-    cuts: bool = True,
 ) -> Float[Tensor, "v c {grid.rows} {grid.columns}"]:
-    """Splat as `sarsplat.splat` does; `cuts` as at `render_reference`; with waves, alternating real and imaginary."""
+    """Splat as `sarsplat.splat` does; with waves, alternating real and imaginary parts."""
     x, r = (torch.from_numpy(axis).to(cross_sections) for axis in (grid.azimuth_m, grid.range_m))
     pixel = torch.stack(torch.meshgrid(x, r, indexing="xy"), dim=-1)  # [rows, columns, 2]
     images = []
@@ -162,8 +147,7 @@ def splat_reference(
             u, v = _whitened(d, roots[:, None, None])
             q = u**2 + v**2
             weight = torch.exp(-0.5 * q)
-            if cuts:
-                weight = torch.where(q <= IMAGE_CUT, weight, torch.zeros_like(weight)) / (1 - math.exp(-IMAGE_CUT / 2))
+            weight = torch.where(q <= IMAGE_CUT, weight, torch.zeros_like(weight)) / (1 - math.exp(-IMAGE_CUT / 2))
             if imaging_weight == "area":
                 weight = weight * (roots[:, 0] * roots[:, 2] / (2 * math.pi))[:, None, None]  # 1/(2π √det Σ_I')
             if waves is None:
@@ -196,12 +180,11 @@ def _attenuate_view(
     range_m: Float[Tensor, " n"],
     tilt: Float[Tensor, "n 2"],
     rays: RayGrid,
-    cuts: bool,
     first_return_depth: float | None,
 ) -> tuple[Float[Tensor, " n"], RayMap]:
     """Attenuate one view (§3, pass A): return Σ_ρ w of each Gaussian and the ray map."""
     spacing = torch.tensor(rays.spacing_m, dtype=kappa.dtype, device=kappa.device)
-    limit = 2 * torch.log(kappa.detach() / MIN_RAY_DEPTH) if cuts else torch.full_like(kappa, _UNCUT_RADIUS**2)
+    limit = 2 * torch.log(kappa.detach() / MIN_RAY_DEPTH)
     touched = limit >= 0
     if not bool(touched.any()):
         empty = kappa.new_ones(0, 0)
@@ -226,11 +209,9 @@ def _attenuate_view(
     u, v = _whitened(d, roots[order][:, None, None])
     q = u**2 + v**2
     tau = kappa[order][:, None, None] * torch.exp(-0.5 * q)
-    if cuts:
-        tau = torch.where(q <= limit[order][:, None, None], tau, torch.zeros_like(tau))
+    tau = torch.where(q <= limit[order][:, None, None], tau, torch.zeros_like(tau))
     before = torch.exp(-(torch.cumsum(tau, dim=0) - tau))  # T_i
-    if cuts:
-        tau = torch.where(before >= MIN_TRANSMITTANCE, tau, torch.zeros_like(tau))
+    tau = torch.where(before >= MIN_TRANSMITTANCE, tau, torch.zeros_like(tau))
     weight = before * -torch.expm1(-tau)
     transmittance = torch.exp(-tau.sum(0))
     first_return = torch.full_like(transmittance, math.nan)

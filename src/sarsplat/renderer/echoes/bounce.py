@@ -90,7 +90,7 @@ class GroundBounce(Echo):
         if s.new_pass is not None and (kernel := s.new_pass()).has("bounce", {}):
             beta0 = self._in_one_call(kernel, s)
         else:
-            steps = Steps(s.new_pass, s.cuts)
+            steps = Steps(s.new_pass)
             cross_sections, footprints = self.parts(s.gaussians, s.views, s.grid, s.rays, shift=s.shift, steps=steps)
             beta0 = steps.splat(footprints, cross_sections[..., None], s.grid)[:, 0]
         # expanded, so that its gradient is summed column by column: to one number, torch would split it by threads

@@ -57,8 +57,6 @@ class Sighting:
         Transmittance of the rays behind all Gaussians, if an echo asks for it.
     new_pass : NewPass or None
         Engine for `Operation.on`; None where plain torch calculates.
-    cuts : bool
-        False if plain torch evaluates footprints without cuts.
     """
 
     gaussians: Gaussians
@@ -69,7 +67,6 @@ class Sighting:
     lit_area: Float[Tensor, "v n"]
     ends: RayEnds | None
     new_pass: NewPass | None
-    cuts: bool = True
 
 
 class Echo(ABC):
