@@ -159,7 +159,9 @@ def test_those_that_look_wrong_have_the_error_and_are_split_instead_of_hidden_on
     assert float(errors[1] / errors.sum()) > 0.95
     assert holding(errors, 0.9).nonzero().tolist() == [[1]]
     parameters["means"].detach()[2:32], parameters["optical_depth"].detach()[2:32] = below, 0.5
-    Growing().step_post_backward(parameters, trainer.optimiser, State(whole={"times": torch.tensor(9)}), 9, info)
+    Growing(coarse, scene).step_post_backward(
+        parameters, trainer.optimiser, State(whole={"times": torch.tensor(9)}), 9, info
+    )
     assert not (parameters["means"] == below).all(1).any()
     assert len(trainer.model) == 62  # as before
 

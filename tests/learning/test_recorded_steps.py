@@ -131,7 +131,7 @@ def test_strategies_that_act_before_gradients_are_not_recorded(dataset: Dataset,
         def step_pre_backward(self, *_: Any) -> None:
             self.seen += 1
 
-    trainer = Trainer(dataset, CONFIGS["default"], strategies=[watching := Watching(Relocation(), STEPS)])
+    trainer = Trainer(dataset, CONFIGS["default"], strategies=[watching := Watching(CONFIGS["default"], dataset)])
     trainer.step()
     assert (trainer.records, watching.seen) == (False, 1)
 

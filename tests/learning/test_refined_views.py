@@ -29,7 +29,7 @@ from sarsplat.data import load_checkpoint, save_checkpoint
 from sarsplat.geometry.turn import turned
 from sarsplat.learning.strategies.azimuths import AZIMUTH_OFFSETS, AzimuthRefinement, lowest
 from sarsplat.learning.strategies.turns import TURN_CORRECTIONS, TurnRefinement, corrected_views, uncertain_passes
-from sarsplat.settings.sections import Surroundings, Turns
+from sarsplat.settings.sections import Surroundings
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("embreex")
@@ -126,7 +126,7 @@ def around(best: Float64[np.ndarray, " k"], std: float, labels: Sequence[float])
 
 def test_label_and_image_count_by_their_variance(images: np.ndarray) -> None:
     std = np.array([0.0, 2.0, 1.0, *[0.0] * 15])
-    azimuths = AzimuthRefinement(labelled(images, AROUND, std), Surroundings(), 100)
+    azimuths = AzimuthRefinement(CONFIG, labelled(images, AROUND, std))
     best = np.array([1.0, 2.0, -0.7, *[5.0] * 15])
     offset_deg = azimuths.most_likely(around(best, 0.5, AROUND))
     assert offset_deg == pytest.approx(best * std**2 / (std**2 + 0.5**2))
@@ -138,7 +138,7 @@ def test_label_and_image_count_by_their_variance(images: np.ndarray) -> None:
 def test_all_together_they_do_not_turn(images: np.ndarray) -> None:
     """What is common to all turns the target; the better each is known, the more it counts."""
     std = np.array([1.0] * 9 + [2.0] * 9)
-    azimuths = AzimuthRefinement(labelled(images, AROUND, std), Surroundings(), 100)
+    azimuths = AzimuthRefinement(CONFIG, labelled(images, AROUND, std))
     best = np.random.default_rng(0).normal(0.8, 0.7, 18)
     offset_deg = azimuths.most_likely(around(best, 1e-3, AROUND))
     assert offset_deg == pytest.approx(best - np.average(best, weights=std**-2), abs=1e-5)
@@ -280,7 +280,7 @@ def refinement_of(turn: Turn) -> tuple[View, TurnRefinement]:
     """Of one frame."""
     view = turn.seen_from(SIGHT)
     dataset = Dataset.from_images([SarImage(np.ones((36, 36), np.float32), view, SPUN)], turns=[turn])
-    return view, TurnRefinement(dataset, Turns(), 100)
+    return view, TurnRefinement(SPINNING, dataset)
 
 
 def signature(view: View) -> np.ndarray:

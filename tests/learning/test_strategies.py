@@ -197,23 +197,27 @@ def gathered(*gradient: float) -> State:
     return State({"gradient": torch.tensor(gradient), "seen": torch.full((len(gradient),), 2.0)})
 
 
+def decided(state: State, **changes: float) -> tuple[Tensor, Tensor, Tensor]:
+    """Masks of those to prune, to clone and to split."""
+    density = DensityControl(replace(CONFIG, densification=replace(CONTROL, **changes)), small_dataset())
+    return density.decide(five(), GRID, state)
+
+
 def test_small_ones_are_cloned_large_ones_split_and_dark_or_huge_ones_pruned() -> None:
-    pruned, cloned, split = DensityControl(CONTROL).decide(five(), GRID, gathered(4.0, 4.0, 1.0, 9.0, 9.0))
+    pruned, cloned, split = decided(gathered(4.0, 4.0, 1.0, 9.0, 9.0))
     assert pruned.tolist() == [False, False, False, True, True]
     assert cloned.tolist() == [True, False, False, False, False]
     assert split.tolist() == [False, True, False, False, False]
 
 
 def test_room_is_given_to_the_steepest() -> None:
-    density = DensityControl(replace(CONTROL, max_gaussians=6))
-    _, cloned, split = density.decide(five(), GRID, gathered(8.0, 4.0, 6.0, 0.0, 0.0))
+    _, cloned, split = decided(gathered(8.0, 4.0, 6.0, 0.0, 0.0), max_gaussians=6)
     assert (cloned | split).tolist() == [True, False, False, False, False]
 
 
 def test_the_last_one_is_not_pruned() -> None:
-    density = DensityControl(replace(CONTROL, min_scattering=1e6))
     with pytest.raises(SarsplatError, match=r"would remove all Gaussians: none scatters at least 1e\+06"):
-        density.decide(five(), GRID, gathered(0.0, 0.0, 0.0, 0.0, 0.0))
+        decided(gathered(0.0, 0.0, 0.0, 0.0, 0.0), min_scattering=1e6)
 
 
 # ---- relocation: who moves, where to, and that little of the image changes -------------------------------------------
@@ -260,27 +264,27 @@ def test_a_round_keeps_the_number_and_about_the_power(dataset: Dataset) -> None:
 
 
 # ---- rounds ----------------------------------------------------------------------------------------------------------
-OFTEN, MEASURED = 100_000_000, Surroundings()
+OFTEN = 100_000_000
 
 
 @pytest.mark.parametrize(
-    ("strategy", "expected"),
+    ("kind", "settings", "iterations", "expected"),
     [
-        (DensityControl(CONTROL), range(10, 100, 10)),
-        (Relocating(Relocation(rounds=5, until=0.5), 100), range(10, 60, 10)),
-        (Relocating(Relocation(until=0), 100), []),
-        (Relocating(Relocation(rounds=OFTEN, until=1), 100), range(1, 101)),
-        (Smoothed(Smoothing(rounds=4), 40), range(10, 50, 10)),
-        (TextureEstimation(replace(MEASURED, texture_rounds=4, texture_from=0.4), 600), range(240, 601, 90)),
-        (TextureEstimation(replace(MEASURED, texture_rounds=OFTEN, texture_from=0.5), 60), range(30, 61)),
-        (AzimuthRefinement(small_dataset(), replace(MEASURED, azimuth_rounds=8), 700), range(210, 631, 60)),
-        (AzimuthRefinement(small_dataset(), replace(MEASURED, azimuth_rounds=1), 600), [180]),
-        (AzimuthRefinement(small_dataset(), replace(MEASURED, azimuth_rounds=0), 600), []),
-        (AzimuthRefinement(small_dataset(), replace(MEASURED, azimuth_rounds=OFTEN), 60), range(18, 55)),
-        (TurnRefinement(small_dataset(), Turns(rounds=5, begin=0.1, until=0.9), 100), range(10, 91, 20)),
-        (TurnRefinement(small_dataset(), Turns(rounds=0), 100), []),
+        (DensityControl, CONTROL, 130, range(10, 100, 10)),
+        (Relocating, Relocation(rounds=5, until=0.5), 100, range(10, 60, 10)),
+        (Relocating, Relocation(until=0), 100, []),
+        (Relocating, Relocation(rounds=OFTEN, until=1), 100, range(1, 101)),
+        (Smoothed, Smoothing(rounds=4), 40, range(10, 50, 10)),
+        (TextureEstimation, Surroundings(texture_rounds=4, texture_from=0.4), 600, range(240, 601, 90)),
+        (TextureEstimation, Surroundings(texture_rounds=OFTEN, texture_from=0.5), 60, range(30, 61)),
+        (AzimuthRefinement, Surroundings(azimuth_rounds=8), 700, range(210, 631, 60)),
+        (AzimuthRefinement, Surroundings(azimuth_rounds=1), 600, [180]),
+        (AzimuthRefinement, Surroundings(azimuth_rounds=0), 600, []),
+        (AzimuthRefinement, Surroundings(azimuth_rounds=OFTEN), 60, range(18, 55)),
+        (TurnRefinement, Turns(rounds=5, begin=0.1, until=0.9), 100, range(10, 91, 20)),
+        (TurnRefinement, Turns(rounds=0), 100, []),
     ],
 )
-def test_rounds_are_evenly_spaced(strategy: Any, expected: Sequence[int]) -> None:
-    last = getattr(strategy, "_iterations", 130)
-    assert [step for step in range(last + 1) if strategy.due(step)] == [*expected]
+def test_rounds_are_evenly_spaced(kind: Any, settings: Any, iterations: int, expected: Sequence[int]) -> None:
+    strategy = kind(replace(CONFIG, iterations=iterations, **{kind.section: settings}), small_dataset())
+    assert [step for step in range(iterations + 1) if strategy.due(step)] == [*expected]

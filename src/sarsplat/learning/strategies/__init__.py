@@ -10,5 +10,5 @@ __all__ = ["Info", "State", "Strategy", "strategies_of"]
 
 def strategies_of(config: Config, train: Dataset) -> list[Strategy]:
     """Strategies of a configuration, in the order in which they act."""
-    kinds = classes_in(__name__, Configured)  # type: ignore[type-abstract]
-    return [strategy for kind in kinds if (strategy := kind.of(config, train)) is not None]
+    kinds = classes_in(__name__, Configured)
+    return [kind(config, train) for kind in kinds if kind.wanted(config, train)]

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Self
 
 import numpy as np
 import torch
@@ -14,7 +13,6 @@ from sarsplat.learning.losses import speckle_nats
 from sarsplat.learning.optimiser import Optimiser
 from sarsplat.learning.strategies.strategy import Configured, Info, Params, State, at_round
 from sarsplat.settings.config import Config
-from sarsplat.settings.sections import Surroundings
 
 _REACH = 2.5  # largest offset tried, standard deviations of the label
 _EACH_WAY = 5  # number of offsets tried on each side of the label
@@ -31,23 +29,23 @@ class AzimuthRefinement(Configured):
 
     order = 30
     name = "azimuths"
+    section = "surroundings"
 
-    def __init__(self, train: Dataset, settings: Surroundings, iterations: int) -> None:
-        self._labelled, self._settings, self._iterations = train.views, settings, iterations
+    def __init__(self, config: Config, train: Dataset) -> None:
+        super().__init__(config, train)
         self._std_deg = np.array([entry.azimuth_std_deg for entry in train.entries])
 
     @classmethod
-    def of(cls, config: Config, train: Dataset) -> Self | None:
-        uncertain = any(entry.azimuth_std_deg for entry in train.entries)
-        return cls(train, config.surroundings, config.iterations) if config.surroundings and uncertain else None
+    def wanted(cls, config: Config, train: Dataset) -> bool:
+        return config.surroundings is not None and any(entry.azimuth_std_deg for entry in train.entries)
 
     def initial_state(self, params: Params) -> State:
         """Azimuth corrections, zero at first, degrees."""
-        return State(whole={"offset_deg": torch.zeros(len(self._labelled), dtype=torch.float64, device="cpu")})
+        return State(whole={"offset_deg": torch.zeros(len(self.train), dtype=torch.float64, device="cpu")})
 
     def due(self, step: int) -> bool:
-        s = self._settings
-        first, last = s.azimuth_from * self._iterations, s.azimuth_until * self._iterations
+        s, iterations = self.settings, self.config.iterations
+        first, last = s.azimuth_from * iterations, s.azimuth_until * iterations
         return s.azimuth_rounds > 0 and at_round(step, first, last, s.azimuth_rounds - 1)
 
     def act(self, params: Params, optimizers: Optimiser, state: State, info: Info) -> None:
@@ -61,7 +59,7 @@ class AzimuthRefinement(Configured):
 
     def views(self, offset_deg: Float64[np.ndarray, " k"]) -> tuple[View, ...]:
         """Training views with these offsets, degrees, where the azimuth is uncertain."""
-        known = zip(self._labelled, offset_deg.tolist(), self._std_deg.tolist(), strict=True)
+        known = zip(self.train.views, offset_deg.tolist(), self._std_deg.tolist(), strict=True)
         return tuple(_turned(view, offset) if std else view for view, offset, std in known)
 
     def most_likely(self, nats: NegativeLogLikelihood) -> Float64[np.ndarray, " k"]:
@@ -74,7 +72,7 @@ class AzimuthRefinement(Configured):
         std = self._std_deg[uncertain]
         tried = std[:, None] * np.linspace(-_REACH, _REACH, 2 * _EACH_WAY + 1)
         views = [
-            _turned(self._labelled[k], offset)
+            _turned(self.train.views[k], offset)
             for k, row in zip(uncertain, tried.tolist(), strict=True)
             for offset in row
         ]

@@ -7,7 +7,6 @@ do not remove it. In the sum over a neighbourhood it stands out; so does a wrong
 import itertools
 import math
 from dataclasses import dataclass
-from typing import Self
 
 import torch
 from jaxtyping import Float, Int64
@@ -34,14 +33,11 @@ class CollectiveSteps(Configured):
 
     order = 8
     name = "collective"
-
-    def __init__(self, rate: float) -> None:
-        self._rate = rate
+    section = "smoothing"
 
     @classmethod
-    def of(cls, config: Config, train: Dataset) -> Self | None:
-        rate = config.smoothing.collective if config.smoothing.rounds > 0 and config.coarsest > 1 else 0.0
-        return cls(rate) if rate else None
+    def wanted(cls, config: Config, train: Dataset) -> bool:
+        return config.smoothing.collective > 0 and config.smoothing.rounds > 0 and config.coarsest > 1
 
     def initial_state(self, params: Params) -> State:
         means, scattering = params["means"].detach(), params["scattering"].detach()
@@ -68,7 +64,7 @@ class CollectiveSteps(Configured):
                 state.whole[str(pitch)] = means.new_zeros(lattice.count, 4)
             steps = _steps(lattice.sums(optimizers.state["means"]["exp_avg"]), state.whole[str(pitch)])
             moves -= lattice.interpolated(steps)
-        means += _EVERY * self._rate * levels.left(step) * frame.cell_m * moves
+        means += _EVERY * self.settings.collective * levels.left(step) * frame.cell_m * moves
         optimizers.constrain()
 
 

@@ -1,12 +1,10 @@
 """Density control as in 3D Gaussian splatting, with the paper's thresholds: clone, split, prune."""
 
 from dataclasses import replace
-from typing import Self
 
 import torch
 from torch import Tensor
 
-from sarsplat.data import Dataset
 from sarsplat.errors import SarsplatError
 from sarsplat.gaussians import Gaussians
 from sarsplat.geometry import ImageGrid
@@ -14,8 +12,6 @@ from sarsplat.learning.optimiser import Optimiser
 from sarsplat.learning.strategies import ops
 from sarsplat.learning.strategies.strategy import Configured, Info, Params, State
 from sarsplat.renderer import Rendering
-from sarsplat.settings.config import Config
-from sarsplat.settings.sections import Densification
 
 
 class DensityControl(Configured):
@@ -23,13 +19,7 @@ class DensityControl(Configured):
 
     order = 10
     name = "density"
-
-    def __init__(self, config: Densification) -> None:
-        self._config = config
-
-    @classmethod
-    def of(cls, config: Config, train: Dataset) -> Self | None:
-        return cls(config.densification) if config.densification else None
+    section = "densification"
 
     def initial_state(self, params: Params) -> State:
         """Sums of gradients over the views that lit a Gaussian, and the number of these views."""
@@ -37,10 +27,10 @@ class DensityControl(Configured):
         return State(rows={"gradient": zeros, "seen": zeros.clone()})
 
     def wants_plane_gradients(self, step: int) -> bool:
-        return step <= self._config.stop
+        return bool(step <= self.settings.stop)
 
     def due(self, step: int) -> bool:
-        c = self._config
+        c = self.settings
         return c.start <= step < c.stop and step % c.every == 0
 
     def gather(self, state: State, step: int, rendering: Rendering, grid: ImageGrid) -> None:
@@ -67,7 +57,7 @@ class DensityControl(Configured):
 
         Sizes are relative to the grid's resolution cell and its extent in range.
         """
-        c = self._config
+        c = self.settings
         size = gaussians.scales.max(dim=1).values
         plain = replace(gaussians, scattering=gaussians.scattering.detailed(0))  # isotropic part of the law
         scattering = plain.gamma0(gaussians.means.new_tensor([[0.0, 0.0, 1.0]]))[0]

@@ -1,8 +1,5 @@
 """Restriction of stacks of one direction to elevations, which phases determine, in the first steps."""
 
-from typing import Self
-
-import numpy as np
 import torch
 
 from sarsplat.data import Dataset
@@ -13,19 +10,20 @@ from sarsplat.settings.config import Config
 
 
 class ElevationOnly(Configured):
-    """Restricts the movement of centres to one axis, up to step `until`."""
+    """Restricts the movement of centres to one axis, up to a share `elevation_only` of the steps."""
 
     order = 5
     name = "elevation"
+    section = "passes"
 
-    def __init__(self, axis: np.ndarray, until: int) -> None:
-        self._axis, self._until = torch.from_numpy(axis).float(), until
+    def __init__(self, config: Config, train: Dataset) -> None:
+        super().__init__(config, train)
+        self._axis = torch.from_numpy(train.views[0].look.frame[1]).float()
+        self._until = round(self.settings.elevation_only * config.iterations)
 
     @classmethod
-    def of(cls, config: Config, train: Dataset) -> Self | None:
-        if config.passes is None or not of_one_direction(train.views):
-            return None
-        return cls(train.views[0].look.frame[1], round(config.passes.elevation_only * config.iterations))
+    def wanted(cls, config: Config, train: Dataset) -> bool:
+        return config.passes is not None and of_one_direction(train.views)
 
     def step_pre_backward(self, params: Params, optimizers: Optimiser, state: State, step: int, info: Info) -> None:
         if step <= self._until:

@@ -3,8 +3,6 @@
 If power decided, roofs would take the Gaussians of dimmer walls that share their pixels, until the walls are glass.
 """
 
-from typing import Self
-
 import torch
 from jaxtyping import Bool, Float, Float64, Int64
 from torch import Tensor
@@ -16,7 +14,6 @@ from sarsplat.learning.strategies import ops
 from sarsplat.learning.strategies.ops import running_sums
 from sarsplat.learning.strategies.strategy import Configured, Info, Params, State, at_round
 from sarsplat.settings.config import Config
-from sarsplat.settings.sections import Relocation
 
 _SHARE = 0.9  # share of the images' error held by the Gaussians that are split; the others stay
 _CLEARED = 0.5625  # time of the removal, as a share of the iterations; coarse levels go on, so that surfaces recover
@@ -34,8 +31,8 @@ class Growing(Configured):
     name = "growth"
 
     @classmethod
-    def of(cls, config: Config, train: Dataset) -> Self | None:
-        return cls() if config.coarsest > 1 else None
+    def wanted(cls, config: Config, train: Dataset) -> bool:
+        return config.coarsest > 1
 
     def initial_state(self, params: Params) -> State:
         """Number of splits so far."""
@@ -48,7 +45,7 @@ class Growing(Configured):
             state.whole["times"] = state.whole["times"].new_tensor(before + 1)
             info.check()
             ops.split(params, optimizers, state, holding(info.errors(), _SHARE), info.generator)
-        fog_stays = levels.coarsest > 1 and info.model.config.relocation.alike_from < 1  # its cubes attract like others
+        fog_stays = levels.coarsest > 1 and self.config.relocation.alike_from < 1  # its cubes attract like others
         if fog_stays and step == round(_CLEARED * levels.iterations):
             info.check()
             alone = 2 * torch.pi * params["scales"].topk(2).values.prod(1) * -torch.expm1(-params["optical_depth"])
@@ -70,20 +67,18 @@ class Relocating(Configured):
 
     order = 20
     name = "relocation"
-
-    def __init__(self, config: Relocation, iterations: int) -> None:
-        self._config, self._iterations = config, iterations
+    section = "relocation"
 
     @classmethod
-    def of(cls, config: Config, train: Dataset) -> Self | None:
-        return cls(config.relocation, config.iterations) if config.relocation.rounds else None
+    def wanted(cls, config: Config, train: Dataset) -> bool:
+        return config.relocation.rounds > 0
 
     def due(self, step: int) -> bool:
-        return step > 0 and at_round(step, 0, self._config.until * self._iterations, self._config.rounds)
+        return step > 0 and at_round(step, 0, self.settings.until * self.config.iterations, self.settings.rounds)
 
     @torch.no_grad()
     def act(self, params: Params, optimizers: Optimiser, state: State, info: Info) -> None:
-        c, shares = self._config, info.lit_areas().double()
+        c, shares = self.settings, info.lit_areas().double()
         if info.model.levels.coarsest > 1:  # vehicles have no large surfaces that outshine others
             shares = shares_of_cubes(shares, params["means"], info.images.grid.cell_m, c.alike_from)
         idle, joined = pairs(shares, c.idle_share, info.generator)

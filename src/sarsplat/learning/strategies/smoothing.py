@@ -6,7 +6,6 @@ Where neighbours scatter alike, differences of brightness are slopes; otherwise 
 """
 
 from concurrent.futures import ThreadPoolExecutor
-from typing import Self
 
 import numpy as np
 import torch
@@ -21,7 +20,6 @@ from sarsplat.gaussians.gaussians import product, rotated
 from sarsplat.learning.optimiser import Optimiser
 from sarsplat.learning.strategies.strategy import Configured, Info, Params, State, at_round
 from sarsplat.settings.config import Config
-from sarsplat.settings.sections import Smoothing
 
 _MIN_LIT_SHARE = 0.05  # minimum lit area of a cell, relative to the mean over cells; cells below are ignored
 _DARK = 0.05  # lit area of a Gaussian, relative to its largest among a step's views, below which one does not light it
@@ -44,16 +42,14 @@ class Smoothed(Configured):
 
     order = 25
     name = "smoothing"
-
-    def __init__(self, config: Smoothing, iterations: int) -> None:
-        self._config, self._iterations = config, iterations
+    section = "smoothing"
 
     @classmethod
-    def of(cls, config: Config, train: Dataset) -> Self | None:
-        return cls(config.smoothing, config.iterations) if config.smoothing.rounds and config.coarsest > 1 else None
+    def wanted(cls, config: Config, train: Dataset) -> bool:
+        return config.smoothing.rounds > 0 and config.coarsest > 1
 
     def due(self, step: int) -> bool:
-        return step > 0 and at_round(step, 0, self._iterations, self._config.rounds)
+        return step > 0 and at_round(step, 0, self.config.iterations, self.settings.rounds)
 
     def initial_state(self, params: Params) -> State:
         light = params["means"].detach().new_zeros(len(params["means"]), 9)  # sums that `towards_planes` describes
@@ -80,14 +76,14 @@ class Smoothed(Configured):
         lit, scattering = info.rendering.lit_area.sum(0), params["scattering"].detach()
         tensors = (means, axes, lit, state.rows["light"], scattering)
         where, facing, area, light, values = (tensor.double().cpu().numpy() for tensor in tensors)
-        planes = towards_planes(where, facing, area, light, values, cell_m, self._config.radius * cell_m)
+        planes = towards_planes(where, facing, area, light, values, cell_m, self.settings.radius * cell_m)
         moves, normals, wide, usual = (torch.from_numpy(values).to(means) for values in planes)
-        share = self._config.share * wide[:, None]
+        share = self.settings.share * wide[:, None]
         means += share * moves
         if cell_m > info.model.frame.cell_m:  # materials that differ show in the finest images
-            scattering += self._config.alike * wide[:, None] * (usual - scattering)
+            scattering += self.settings.alike * wide[:, None] * (usual - scattering)
         quaternions.copy_(turned(quaternions, axes, normals, share))
-        thinner = 1 - self._config.thinner * wide[:, None]
+        thinner = 1 - self.settings.thinner * wide[:, None]
         scales.scatter_(1, shortest, scales.gather(1, shortest) * thinner)
         optimizers.constrain()
 

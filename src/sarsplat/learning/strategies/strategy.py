@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -205,6 +205,18 @@ class Configured(Strategy):
     order: ClassVar[int]
     """Rank: strategies act in ascending order."""
 
+    section: ClassVar[str] = ""
+    """Field of `Config` with its settings, None in a training without this strategy."""
+
+    def __init__(self, config: Config, train: Dataset) -> None:
+        self.config, self.train = config, train
+        self.settings: Any = getattr(config, self.section, None)
+
+    @classmethod
+    def wanted(cls, config: Config, train: Dataset) -> bool:
+        """Return True if a training with this configuration has this strategy."""
+        return getattr(config, cls.section) is not None
+
     def due(self, step: int) -> bool:
         """Return True if it acts after this step."""
         return False
@@ -222,11 +234,6 @@ class Configured(Strategy):
     def acts_before(cls) -> bool:
         """True if it acts before a step's gradients; CUDA graphs are then off."""
         return cls.step_pre_backward is not Strategy.step_pre_backward
-
-    @classmethod
-    @abstractmethod
-    def of(cls, config: Config, train: Dataset) -> Self | None:
-        """Return the strategy of a configuration, or None."""
 
 
 def at_round(iteration: int, first: float, last: float, steps: int) -> bool:

@@ -7,7 +7,6 @@ of rotation. Gauss-Newton steps minimise the images' differences and the deviati
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 import torch
@@ -18,7 +17,6 @@ from sarsplat.geometry import Turn, View
 from sarsplat.learning.optimiser import Optimiser
 from sarsplat.learning.strategies.strategy import Configured, Info, Params, State, at_round
 from sarsplat.settings.config import Config
-from sarsplat.settings.sections import Turns
 
 _DIFFERENCE = 0.25  # movement of the target's edge in images of the finite differences, resolution cells
 _FRACTIONS = (1.0, 0.5, 0.25, 0.1, 0.03)  # lengths of the line search, relative to the Gauss-Newton step
@@ -42,23 +40,24 @@ class TurnRefinement(Configured):
 
     order = 31
     name = "turns"
+    section = "turns"
 
-    def __init__(self, train: Dataset, settings: Turns, iterations: int) -> None:
-        self._entries, self._settings, self._iterations = train.entries, settings, iterations
+    def __init__(self, config: Config, train: Dataset) -> None:
+        super().__init__(config, train)
         self._passes = uncertain_passes(train)
-        self._pass = np.array([-1 if (k := _number(self._passes, one)) is None else k for one in self._entries])
+        self._pass = np.array([-1 if (k := _number(self._passes, one)) is None else k for one in train.entries])
 
     @classmethod
-    def of(cls, config: Config, train: Dataset) -> Self | None:
-        return cls(train, config.turns, config.iterations) if uncertain_passes(train) else None
+    def wanted(cls, config: Config, train: Dataset) -> bool:
+        return bool(uncertain_passes(train))
 
     def initial_state(self, params: Params) -> State:
         """Corrections of each pass, zero at first (`TURN_CORRECTIONS`)."""
         return State(whole={"correction": torch.zeros(len(self._passes), 3, dtype=torch.float64, device="cpu")})
 
     def due(self, step: int) -> bool:
-        s = self._settings
-        return s.rounds > 0 and at_round(step, s.begin * self._iterations, s.until * self._iterations, s.rounds - 1)
+        s, iterations = self.settings, self.config.iterations
+        return s.rounds > 0 and at_round(step, s.begin * iterations, s.until * iterations, s.rounds - 1)
 
     def act(self, params: Params, optimizers: Optimiser, state: State, info: Info) -> None:
         def differences(views: Sequence[View], numbers: Int64[np.ndarray, " n"]) -> Float64[np.ndarray, "n pixels"]:
@@ -73,7 +72,7 @@ class TurnRefinement(Configured):
         radius_m = float(params["means"].detach().square().sum(1).max().sqrt())
         correction = self.stepped(state.whole["correction"].numpy(), differences, samples, grid.cell_m / radius_m)
         state.whole["correction"] = torch.from_numpy(correction)
-        info.images.views = corrected_views(self._entries, self._passes, correction)
+        info.images.views = corrected_views(self.train.entries, self._passes, correction)
 
     def stepped(
         self,
@@ -90,7 +89,7 @@ class TurnRefinement(Configured):
         changed = correction.copy()
         for number, turn in enumerate(self._passes):
             frames = np.flatnonzero(self._pass == number)
-            own = Pass(turn, [self._entries[k] for k in frames], frames, differences, samples[frames])
+            own = Pass(turn, [self.train.entries[k] for k in frames], frames, differences, samples[frames])
             changed[number] = own.stepped(correction[number], cell_rad)
         return changed
 
