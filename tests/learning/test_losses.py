@@ -11,7 +11,7 @@ from emulated_cuda import Emulator
 
 from sarsplat import SarsplatError, preset, stack_nats
 from sarsplat.learning import losses
-from sarsplat.learning.losses import ImageScale, amplitude_loss, named_loss, speckle_loss, structural_similarity
+from sarsplat.learning.losses import amplitude_loss, named_loss, speckle_loss, structural_similarity
 from sarsplat.learning.stack_loss import ExpectedStacks, packed, windowed, windowed_nats
 from sarsplat.renderer.covariances import Planes
 from sarsplat.renderer.engines import cpu, cuda
@@ -92,7 +92,7 @@ def test_speckle_likelihood_is_best_at_the_mean_intensity() -> None:
 def test_speckle_of_a_target_alone_has_a_likelihood_where_the_image_is_black() -> None:
     power, _ = pair(2, 20, 20)
     rendered = torch.where(power > power.median(), power, 0.0).requires_grad_()
-    loss = named_loss(preset("speckled"), ImageScale(float(power.max()), 1.0))
+    loss = named_loss(preset("speckled"), float(power.max()), 1.0)
     value = loss(rendered, power)
     value.backward()
     assert (rendered.grad < 0)[(rendered == 0) & (power > 0)].all()  # what is missing is asked for
@@ -101,13 +101,14 @@ def test_speckle_of_a_target_alone_has_a_likelihood_where_the_image_is_black() -
 
 def test_total_power_is_asked_for_of_each_image() -> None:
     truth, _ = pair(2, 20, 20)
-    scale = ImageScale(float(truth.max()), 1.0)
+    brightest = float(truth.max())
     rendered = truth * torch.tensor([0.5, 2.0])[:, None, None]
     black = torch.zeros_like(truth)
 
     def cost(*images: torch.Tensor) -> float:
         """What it adds to the likelihood."""
-        of = [named_loss(replace(preset("speckled"), total_power=weight), scale)(*images) for weight in (0.0, 0.3)]
+        weighted = [replace(preset("speckled"), total_power=weight) for weight in (0.0, 0.3)]
+        of = [named_loss(config, brightest, 1.0)(*images) for config in weighted]
         return float(of[1] - of[0])
 
     assert cost(rendered, truth) == pytest.approx(0.3 * (2 / 3) ** 2, rel=1e-3)
@@ -121,7 +122,7 @@ def test_no_named_loss_depends_on_the_unit_of_power(name) -> None:
     truth += 0.01
     actual = []
     for unit in (1.0, 1e-6, 1e6):
-        loss = named_loss(preset(name), ImageScale(unit * float(truth.max()), unit * float(truth.mean())))
+        loss = named_loss(preset(name), unit * float(truth.max()), unit * float(truth.mean()))
         actual.append(loss(unit * truth.flip(1), unit * truth).item())
     assert actual == pytest.approx([actual[0]] * 3, rel=1e-4)
 

@@ -77,7 +77,7 @@ def quicker_device(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the training repeats them
         try:
-            gpu_seconds = _seconds_on_gpu(make(gpu))
+            gpu_seconds = _seconds(make(gpu), _TIMED, untimed=_UNTIMED)  # its memory is freed on return
         except (SarsplatError, torch.OutOfMemoryError) as error:  # such as a GPU that is too small
             return _CPU, f"training on the CPU: on the GPU, {str(error).partition(chr(10))[0]}"
         try:
@@ -94,14 +94,11 @@ def quicker_device(
     return _CPU, f"training on the CPU: {times}; device cuda takes the GPU nevertheless"
 
 
-def _seconds_on_gpu(trainer: Trainable) -> float:
-    """Time of the timed steps after the untimed ones, s; its memory is freed on return."""
-    _seconds(trainer, _UNTIMED)
-    return _seconds(trainer, _TIMED)
-
-
-def _seconds(trainer: Trainable, steps: int) -> float:
-    """Time of this many steps, until the device is done, s."""
+def _seconds(trainer: Trainable, steps: int, untimed: int = 0) -> float:
+    """Time of this many steps after untimed ones, until the device is done, s."""
+    for _ in range(untimed):
+        trainer.step()
+    trainer.check()
     begun = time.perf_counter()
     for _ in range(steps):
         trainer.step()

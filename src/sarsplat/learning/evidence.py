@@ -39,7 +39,6 @@ _GAIN_DB = 0.25
 class Differences:
     """Differences between training images that no scene explains."""
 
-    images: int
     gain_std_db: float
     """Standard deviation of the gain that target and ground of an image have in common, dB, ≥ 0."""
     displaced: int
@@ -68,7 +67,7 @@ def chosen(dataset: Dataset) -> Config:
         around = np.linalg.norm(sides.sum(0)) < _ONE_SIDED * np.linalg.norm(sides, axis=1).sum()
         ground = FlatGround(from_images=bool(around))
         scene = replace(scene, dropout=_SMOOTHED_DROPOUT, scattering_penalty=_SMOOTHED_PENALTY, ground=ground)
-    images = counted(found.images, "image")
+    images = counted(len(train), "image")
     summary = f"gains of images differ by {found.gain_std_db:.2g} dB, {found.displaced} of {images} displaced"
     if found.nats >= 0:
         return replace(scene, evidence=f"scene: {summary}; too little, so neither gains nor shifts are learned")
@@ -112,7 +111,7 @@ def differences(train: Dataset, trainer: Trainer) -> Differences:
     # cross-validated: the loss of odd rows at the best place of even ones, and the reverse
     cross = losses[k, 1, even] - losses[k, 1, common] + losses[k, 0, odd] - losses[k, 0, common]
     shift_nats = -cross.mean() / 2 - 2 * per_parameter if displaced > len(losses) / 2 else 0.0
-    return Differences(len(losses), gain_std_db, displaced, 0.0 - max(gain_nats, 0.0) - max(shift_nats, 0.0))
+    return Differences(gain_std_db, displaced, 0.0 - max(gain_nats, 0.0) - max(shift_nats, 0.0))
 
 
 def _common_variance(train: Dataset, expected: list[Float64[np.ndarray, "rows columns"]]) -> float:

@@ -134,28 +134,17 @@ def _means(images: Images) -> Float[Tensor, " v"]:
     return images.mean(2).mean(1)
 
 
-@dataclass(frozen=True)
-class ImageScale:
-    """Brightness of the training images, linear power."""
-
-    brightest: float
-    """Largest β⁰."""
-    unit: float
-    """Power that counts as 1 in the model (`Config.unit`)."""
-
-
-def _amplitude(config: Config, scale: ImageScale) -> Loss:
-    reference = math.sqrt(scale.brightest)
+def _amplitude(config: Config, brightest: float, unit: float) -> Loss:
+    reference = math.sqrt(brightest)
     return lambda rendered, truth: amplitude_loss(rendered, truth, reference, config.ssim_weight)
 
 
-def _speckle(config: Config, scale: ImageScale) -> Loss:
+def _speckle(config: Config, brightest: float, unit: float) -> Loss:
     if config.surroundings:  # the model has a noise floor
-        return lambda rendered, truth: speckle_loss(rendered / scale.unit, truth / scale.unit)
-    unit, weight = scale.brightest, config.total_power
+        return lambda rendered, truth: speckle_loss(rendered / unit, truth / unit)
 
     def loss(rendered: Tensor, truth: Tensor) -> Tensor:
-        power, intensity = rendered / unit, truth / unit
+        power, intensity, weight = rendered / brightest, truth / brightest, config.total_power
         likelihood = speckle_loss(power + SPECKLE_FLOOR, intensity + SPECKLE_FLOOR)
         return likelihood + weight * total_power_loss(power, intensity) if weight else likelihood
 
@@ -166,8 +155,8 @@ def _speckle(config: Config, scale: ImageScale) -> Loss:
 class NamedLoss:
     """A loss that configurations can name, with its title and unit for reports."""
 
-    make: Callable[[Config, ImageScale], Loss] | None
-    """Function that makes the loss; None for the loss of stacks, which `observations/stacks.py` computes."""
+    make: Callable[[Config, float, float], Loss] | None
+    """Function that makes the loss as `named_loss` does; None for that of stacks, in `observations/stacks.py`."""
     title: str
     unit: str
     """Unit; likelihoods begin with `nats`."""
@@ -181,8 +170,11 @@ LOSSES = {
 """Losses by their names in configurations."""
 
 
-def named_loss(config: Config, scale: ImageScale) -> Loss:
-    """Return the loss that a configuration names; raise if it is unknown or for stacks."""
+def named_loss(config: Config, brightest: float, unit: float) -> Loss:
+    """Return the loss that a configuration names; raise if it is unknown or for stacks.
+
+    `brightest` is the largest β⁰ of the training images, `unit` the power that counts as 1 in the model.
+    """
     if config.loss not in LOSSES:
         raise SarsplatError(f"loss {shown(config.loss)} is unknown; {advised(config.loss, LOSSES)}")
     if (make := LOSSES[config.loss].make) is None:
@@ -190,4 +182,4 @@ def named_loss(config: Config, scale: ImageScale) -> Loss:
             f"the loss {config.loss} needs passes on, which is off; switch passes on, or choose the loss "
             f"{' or '.join(name for name, loss in LOSSES.items() if loss.make)}"
         )
-    return make(config, scale)
+    return make(config, brightest, unit)

@@ -196,7 +196,7 @@ class Config(AnyConfig):
         If a value has the wrong type or is outside its range.
     """
 
-    may_change: ClassVar[tuple[str, ...]] = (*AnyConfig.may_change, PointExtraction._section)
+    may_change: ClassVar[tuple[str, ...]] = (*AnyConfig.may_change, PointExtraction._prefix)
     before: ClassVar[Mapping[str, Mapping[str, Any]]] = {"smoothing": {"rounds": 0, "alike": 0.0, "collective": 0.0}}
 
     preset: str = "default"

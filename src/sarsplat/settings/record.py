@@ -21,11 +21,15 @@ class Record:
     raise.
     """
 
-    _section: ClassVar[str] = ""
+    _prefix: ClassVar[str] = ""
     """Prefix of its fields in errors, such as ``rates.``."""
 
     _gone: ClassVar[Mapping[str, str]] = {}
     """Fields of earlier versions, with advice to their users."""
+
+    def __init_subclass__(cls, prefix: str = "") -> None:
+        super().__init_subclass__()
+        cls._prefix = prefix
 
     def __post_init__(self) -> None:
         for name, hint in _hints(type(self)).items():
@@ -33,7 +37,7 @@ class Record:
             try:
                 object.__setattr__(self, name, convert(value, hint))
             except msgspec.ValidationError as error:
-                raise SarsplatError(f"{self._section}{name} is {shown(value)}; it must be {_allowed(hint)}") from error
+                raise SarsplatError(f"{self._prefix}{name} is {shown(value)}; it must be {_allowed(hint)}") from error
 
     def as_dict(self) -> dict[str, Any]:
         """Convert the record to JSON data."""
@@ -46,7 +50,7 @@ class Record:
             if isinstance(own, Record) and isinstance(others, Record):
                 yield from own.changes(others)
             elif own != others:
-                yield f"{self._section}{name}", own, others
+                yield f"{self._prefix}{name}", own, others
 
     def with_settings(self, changes: Mapping[str, Any], source: str = "the settings") -> Self:
         """Copy with other values, by dotted names such as ``rates.means``; errors name the `source`.
@@ -56,22 +60,7 @@ class Record:
         """
         data = self.as_dict()
         for name, value in changes.items():
-            *sections, last = name.split(".")
-            place: dict[str, Any] = data
-            kind: type[Record] = type(self)
-            for section in sections:
-                if section not in place or (inner := record_in(kind, section)) is None:
-                    break  # `from_dict` raises
-                kind = inner
-                if place[section] is None:
-                    place[section] = {}
-                place = place[section]
-            else:
-                if value in ("on", "off") and last in place and record_in(kind, last) is not None:
-                    value = (place[last] or {}) if value == "on" else None
-                place[last] = None if value == "None" else value
-                continue
-            data[name] = value
+            _set(data, type(self), name, value)
         return type(self).from_dict(data, source)
 
     @classmethod
@@ -109,10 +98,22 @@ def _choices(hint: Any) -> tuple[Any, ...]:
     return get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
 
 
+def _set(data: dict[str, Any], record: type[Record], name: str, value: Any) -> None:
+    """Set a value in a record's data by its dotted name; `_read` raises if there is no such setting."""
+    first, _, rest = name.partition(".")
+    inner = record_in(record, first) if first in _hints(record) else None
+    if inner is not None and (rest or value == "on"):
+        data[first] = data.get(first) or {}
+        if rest:
+            _set(data[first], inner, rest, value)
+    else:
+        data[name] = None if value == "None" or (inner is not None and value == "off") else value
+
+
 def _read(data: object, record: type[R]) -> R:
     if not isinstance(data, dict):
         raise SarsplatError(f"{shown(data)} is not a set of settings; give an object with {', '.join(_hints(record))}")
-    hints, section = _hints(record), record._section
+    hints, section = _hints(record), record._prefix
     if (gone := next((name for name in data if name in record._gone), None)) is not None:
         raise SarsplatError(f"the setting {section}{gone} is of an earlier version; {record._gone[gone]}")
     if (unknown := next((name for name in data if name not in hints), None)) is not None:

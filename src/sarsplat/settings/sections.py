@@ -15,7 +15,7 @@ from sarsplat.settings.record import Record
 
 
 @dataclass(frozen=True)
-class Rates(Record):
+class Rates(Record, prefix="rates."):
     """Learning rates of Adam.
 
     Those of the means decay exponentially, the others tenfold over the second half of the training.
@@ -46,8 +46,6 @@ class Rates(Record):
         Mean ground, noise floor, phase screens (rad), side lobes and logarithms of the gains of measured images.
     """
 
-    _section: ClassVar[str] = "rates."
-
     means: Positive = 0.15
     means_end: Positive = 0.0033
     quaternions: NotNegative = 0.02
@@ -62,7 +60,7 @@ class Rates(Record):
 
 
 @dataclass(frozen=True)
-class Densification(Record):
+class Densification(Record, prefix="densification."):
     """Density control of 3D Gaussian splatting (splitting, cloning, pruning) with the paper's thresholds.
 
     Parameters
@@ -85,8 +83,6 @@ class Densification(Record):
         Maximum number of Gaussians.
     """
 
-    _section: ClassVar[str] = "densification."
-
     start: Iteration = 10_000
     stop: Iteration = 25_000
     every: Count = 500
@@ -98,7 +94,7 @@ class Densification(Record):
 
 
 @dataclass(frozen=True)
-class Relocation(Record):
+class Relocation(Record, prefix="relocation."):
     """Moves of idle Gaussians to others, of which each takes over half.
 
     Parameters
@@ -113,8 +109,6 @@ class Relocation(Record):
         Relative lit area of a cell's cube from which all count alike; below 1, hidden ones go. With pixel blocks only.
     """
 
-    _section: ClassVar[str] = "relocation."
-
     rounds: Iteration = 12
     until: Share = 0.75
     idle_share: Share = 0.004
@@ -122,7 +116,7 @@ class Relocation(Record):
 
 
 @dataclass(frozen=True)
-class Smoothing(Record):
+class Smoothing(Record, prefix="smoothing."):
     """Moves and rotations of visible Gaussians towards the surface of their neighbours.
 
     Only for trainings that begin with blocks of pixels: images hardly tell the height inside of large surfaces.
@@ -145,8 +139,6 @@ class Smoothing(Record):
         lattices; it falls to zero. 0: none, and no change of all scattering together (from `law_from` on) either.
     """
 
-    _section: ClassVar[str] = "smoothing."
-
     rounds: Iteration = 40
     share: Share = 0.7
     radius: Positive = 3.0
@@ -156,7 +148,7 @@ class Smoothing(Record):
 
 
 @dataclass(frozen=True)
-class PointExtraction(Record):
+class PointExtraction(Record, prefix="points."):
     """Extraction of a point cloud from the Gaussians.
 
     Parameters
@@ -191,8 +183,6 @@ class PointExtraction(Record):
         Minimum number of neighbours of a point inside the largest cluster.
     """
 
-    _section: ClassVar[str] = "points."
-
     method: Literal["rays", "centres"] = "rays"
     optical_depth: Annotated[float, Meta(ge=0, le=40)] = 0.5
     power_share: Share = 1.0
@@ -213,7 +203,7 @@ class PointExtraction(Record):
 
 
 @dataclass(frozen=True)
-class FlatGround(Record):
+class FlatGround(Record, prefix="ground."):
     """Ground at z = 0, or the dataset's terrain, on which rays end, with a learned γ⁰.
 
     Parameters
@@ -226,15 +216,13 @@ class FlatGround(Record):
         Start at the median brightness of the images, place by place, such as of roads; otherwise uniform.
     """
 
-    _section: ClassVar[str] = "ground."
-
     pitch: NotNegative = 3.0
     std: Positive = 1.0
     from_images: bool = False
 
 
 @dataclass(frozen=True)
-class Bounce(Record):
+class Bounce(Record, prefix="bounce."):
     """Second bounce between target and level ground, which reflects like a mirror.
 
     Parameters
@@ -243,13 +231,11 @@ class Bounce(Record):
         Initial share of the power that the ground reflects like a mirror, 0 to 1; it is learned.
     """
 
-    _section: ClassVar[str] = "bounce."
-
     reflectivity: Share = 0.3
 
 
 @dataclass(frozen=True)
-class Surroundings(Record):
+class Surroundings(Record, prefix="surroundings."):
     """Further effects in measured images of a target on the ground (docs/concepts/measured-chips.md).
 
     Standard deviations are those of priors; 0 keeps the usual value.
@@ -284,7 +270,6 @@ class Surroundings(Record):
         Time of the last refinement of azimuths, as a share of all iterations.
     """
 
-    _section: ClassVar[str] = "surroundings."
     _gone: ClassVar[Mapping[str, str]] = dict.fromkeys(
         ("ground_pitch", "ground_std"), "ground is a plane now, so train again (settings: ground.pitch, ground.std)"
     )
@@ -308,7 +293,7 @@ class Surroundings(Record):
 
 
 @dataclass(frozen=True)
-class Turns(Record):
+class Turns(Record, prefix="turns."):
     """Refinement of uncertain axes and rates of rotation (`sarsplat.Turn`).
 
     Parameters
@@ -321,15 +306,13 @@ class Turns(Record):
         Time of the last round, as a share of all iterations.
     """
 
-    _section: ClassVar[str] = "turns."
-
     rounds: Iteration = 12
     begin: Share = 0.1
     until: Share = 0.9
 
 
 @dataclass(frozen=True)
-class Passes(Record):
+class Passes(Record, prefix="passes."):
     """Learning from interferometric stacks.
 
     Parameters
@@ -347,8 +330,6 @@ class Passes(Record):
         and slopes from the middle of images to their edges; 0: none.
     """
 
-    _section: ClassVar[str] = "passes."
-
     window: Annotated[int, Meta(ge=1, le=99)] = 3
     elevation_only: Share = 1.0
     noise: Positive = 0.05
@@ -365,4 +346,4 @@ def _refuse_tiny(record: Record, *names: str) -> None:
     """Raise for settings above 0 whose squares and reciprocals would leave float32."""
     for name in names:
         if 0 < (value := getattr(record, name)) < LEAST:
-            raise SarsplatError(f"{record._section}{name} is {value:g}; give at least {LEAST:g}, or 0 to switch it off")
+            raise SarsplatError(f"{record._prefix}{name} is {value:g}; give at least {LEAST:g}, or 0 to switch it off")

@@ -16,7 +16,7 @@ from sarsplat.gaussians import Polarimetric
 from sarsplat.geometry import RayGrid
 from sarsplat.learning.batching import compared_in_groups, in_groups
 from sarsplat.learning.image_windows import Windows
-from sarsplat.learning.losses import LOSSES, ImageScale, Loss, named_loss
+from sarsplat.learning.losses import LOSSES, Loss, named_loss
 from sarsplat.learning.method import Inputs
 from sarsplat.learning.model import SceneModel
 from sarsplat.learning.observations.observation import Batch, Observation
@@ -54,7 +54,7 @@ class SingleImages(Observation):
 
     def minimise(self, loss: Loss | None, model: SceneModel) -> Tensor:
         self._mean_over_views = loss is None  # true of all named losses
-        self._loss = loss or named_loss(self.config, ImageScale(self.images.brightest, model.unit))
+        self._loss = loss or named_loss(self.config, self.images.brightest, model.unit)
         if loss is None and LOSSES[self.config.loss].unit.startswith("nats"):  # penalties are in nats, too
             return torch.ones((), dtype=torch.float32, device=self.device)
         return _of_black(self._loss, self.images.truth[: self.config.views_per_step])
