@@ -167,8 +167,8 @@ def test_runs_keep_it_and_go_on_with_the_same_bits(mirrored: Dataset, tmp_path: 
     assert _run_facts(kept)["power"].startswith("target ")
     model, rays = kept.model, RayGrid.for_image(FINE, 4.0)  # those of a run's images
     with torch.no_grad():
-        direct = render(model.scene(3), VIEWS[:1], FINE, rays=rays, ground=model.ground())
-        bounced = render(model.scene(3), VIEWS[:1], FINE, rays=rays, ground=model.ground(), echoes=model.echoes())
+        direct = render(model.target(3), VIEWS[:1], FINE, rays=rays, ground=model.ground())
+        bounced = render(model.target(3), VIEWS[:1], FINE, rays=rays, ground=model.ground(), echoes=model.echoes())
     assert np.allclose(bounced.channel(0).numpy(), images, rtol=1e-5)
     assert images.sum() > direct.channel(0).sum() * 1.01
 
@@ -179,7 +179,7 @@ def test_samples_have_it(mirrored: Dataset) -> None:
     assert np.allclose(sample, run.render(VIEWS[:1])[0], rtol=0.05, atol=1e-3 * sample.max())
     assert run.model is not None
     with torch.no_grad():
-        without = render(run.model.scene(3), VIEWS[:1], FINE, ground=run.model.ground()).channel(0)
+        without = render(run.model.target(3), VIEWS[:1], FINE, ground=run.model.ground()).channel(0)
     assert sample.sum() > float(without.sum()) * 1.01
 
 
@@ -187,7 +187,7 @@ def test_the_viewer_tells_whose_foot_is_in_a_pixel(mirrored: Dataset) -> None:
     trainer = trained(mirrored, replace(BOUNCING, iterations=60), 60)
     subject, model = training_subject(mirrored, trainer), trainer.model
     with torch.no_grad():
-        echoes = render(model.scene(3), VIEWS[:1], FINE, ground=model.ground(), echoes=model.echoes()).echoes
+        echoes = render(model.target(3), VIEWS[:1], FINE, ground=model.ground(), echoes=model.echoes()).echoes
     _, (bounced,) = echoes
     row, column = np.unravel_index(int(bounced.argmax()), bounced.shape)
     found = subject.contributors(VIEWS[0], Pixel(int(row), int(column)))

@@ -58,12 +58,12 @@ def test_speckle_has_the_power_of_what_it_is_on(run: Run) -> None:
 def altered(run: Run, **factors: float) -> SceneModel:
     """The run's model with its target's sizes and depths multiplied, and of another γ⁰."""
     assert run.model is not None
-    model, scene = copy(run.model), run.model.scene(0)
+    model, scene = copy(run.model), run.model.target(0)
     changed = {name: getattr(scene, name) * factor for name, factor in factors.items() if name != "scattering"}
     if "scattering" in factors:
         none = torch.full_like(scene.scattering.parameters, -100.0)
         changed["scattering"] = replace(scene.scattering, parameters=none, p_min=factors["scattering"])
-    model.scene = lambda degree: replace(scene, **changed)  # type: ignore[method-assign]
+    model.target = lambda degree: replace(scene, **changed)  # type: ignore[method-assign]
     return model
 
 

@@ -180,7 +180,7 @@ def _on_flat(run: Run, views: Sequence[View], grid: ImageGrid) -> Float32[np.nda
     model = run.model
     if model is None or (learned := model.ground()) is None:
         raise SarsplatError("ground is 'flat', but a run has learned no ground; leave it out")
-    scene = model.scene(model.degree(run.iteration))
+    scene = model.target(model.degree(run.iteration))
     how: dict[str, Any] = {
         "rays": RayGrid.for_image(grid, model.config.rays_per_pixel),
         "ground": replace(learned, gamma0=learned.gamma0.mean()),

@@ -18,7 +18,8 @@ from sarsplat.gaussians.initialise import Region
 from sarsplat.geometry import ImageGrid, RayGrid, Stack, Terrain, View
 from sarsplat.learning.image_windows import Windows
 from sarsplat.learning.parts import parts_of
-from sarsplat.learning.parts.part import Learned, Parameters, Part, Shot
+from sarsplat.learning.parts.part import Learned, Parameters, Shot
+from sarsplat.learning.parts.target import Target
 from sarsplat.learning.scene_frame import Levels, SceneFrame
 from sarsplat.learning.snapshot import Snapshot, fitting
 from sarsplat.learning.stack_loss import ExpectedStacks
@@ -48,6 +49,7 @@ class SceneModel:
         self.unit = frame.unit
         self.device = torch.device(device)
         self.parts = parts_of(config, frame, self.device)
+        self.target_part = next(part for part in self.parts if isinstance(part, Target))
         self.levels = Levels.of(config, frame)
         self.windows: Windows | None = None
         self.learned = self._learned()
@@ -95,7 +97,7 @@ class SceneModel:
             raise ValueError("numbers that are not finite")
         for part in model.parts:
             part.load({name: t.to(model.device) for name, t in snapshot.part(f"part/{part.name}").items()})
-        model.scene(config.harmonics_degree)  # checks the Gaussians' values
+        model.target(config.harmonics_degree)  # checks the Gaussians' values
         return model
 
     def tensors(self) -> dict[str, Tensor]:
@@ -154,13 +156,9 @@ class SceneModel:
             degree -= 1
         return degree
 
-    def target(self, degree: int) -> Gaussians:
-        """The target's Gaussians, differentiable with respect to the parameters."""
-        return self._made_by([part for part in self.parts if not part.surrounds], degree)
-
-    def scene(self, degree: int, dropped: Bool[Tensor, " n"] | None = None) -> Gaussians:
-        """The target and its surroundings, without the target's Gaussians that are `dropped`."""
-        return self._made_by(self.parts, degree, dropped)
+    def target(self, degree: int, dropped: Bool[Tensor, " n"] | None = None) -> Gaussians:
+        """The target's Gaussians but those `dropped`, differentiable with respect to the parameters."""
+        return self.target_part.gaussians(self.parameters, degree, dropped)
 
     def ground(self) -> Ground | None:
         """Plane or terrain on which rays end, γ⁰ in the model's unit; None without ground."""
@@ -179,13 +177,6 @@ class SceneModel:
         """Raise if a part has an echo, which this kind of rendering cannot include."""
         if self.echoes():
             raise SarsplatError(f"a part of the model has an echo, which {rendering} cannot have; leave out that part")
-
-    def _made_by(self, parts: Sequence[Part], degree: int, dropped: Bool[Tensor, " n"] | None = None) -> Gaussians:
-        scene = None
-        for part in parts:
-            scene = part.scene(scene, self.parameters, degree, dropped)
-        assert scene is not None  # the target is in every model
-        return scene
 
     def render(
         self,
@@ -217,7 +208,7 @@ class SceneModel:
             "bounds": bounds,
             "amplitudes": amplitudes,
         }
-        scene = self.scene(degree, dropped)
+        scene = self.target(degree, dropped)
         if self.windows is None or numbers is None:
             rendering = render(scene, views, shot.grid, **how)
         else:
@@ -229,7 +220,7 @@ class SceneModel:
         """Share of each kind of echo (target, ground, …) in the power of the training views."""
         ground, echoes = self.ground(), self.echoes()
         ways = ([] if ground is None else ["ground"]) + [echo.way for echo in echoes]
-        scene, powers = self.scene(degree), dict.fromkeys(["target", *ways], 0.0)
+        scene, powers = self.target(degree), dict.fromkeys(["target", *ways], 0.0)
         for view in self.frame.views:  # one at a time, to save memory
             rendering = render(scene, [view], self.frame.grid, ground=ground, echoes=echoes)
             powers["target"] += float(rendering.channel(self.power_channel).double().sum())
@@ -257,7 +248,7 @@ class SceneModel:
         """
         self._refuse_echoes("covariances of stacks")
         shot = self.shot(views, grid, numbers)
-        scene = self.scene(degree, dropped)
+        scene = self.target(degree, dropped)
         planes, sections, lit = lit_planes(scene, views, shot.grid, stacks, rays=rays, shift=shot.shift)
         power = planes.powers.detach()[:, list(planes.of_channels)].mean(1, keepdim=True)
         rendering = Rendering(power, sections[..., None], lit)
@@ -270,7 +261,7 @@ class SceneModel:
     ) -> Iterator[Float[Tensor, "k c {grid.rows} {grid.columns}"]]:
         """Yield batches of images of unseen views, without gradients; images too large for memory by tiles."""
         with torch.no_grad():
-            scene, ground = self.scene(degree), self.ground()
+            scene, ground = self.target(degree), self.ground()
             size = -(-min(at_once(scene, views, grid, rays), _MAX_BATCH) // self.scenes_rendered)
             for first in range(0, len(views), max(size, 1)):
                 batch = views[first : first + max(size, 1)]
@@ -320,14 +311,3 @@ class SceneModel:
     def penalties(self) -> dict[str, Float[Tensor, ""]]:
         """Penalties by name, in units of the loss of black images, or in nats per pixel."""
         return dict(term for part in self.parts for term in part.penalties(self.parameters))
-
-    def scene_bounds(self) -> Bounds:
-        """Bounds of all Gaussians while parameters stay in their ranges."""
-        reaches = [reach for part in self.parts if (reach := part.reach()) is not None]
-        low, high = (
-            (pick(x), pick(y), pick(z))
-            for pick, corners in ((min, [r.low_m for r in reaches]), (max, [r.high_m for r in reaches]))
-            for x, y, z in [zip(*corners, strict=True)]
-        )
-        scale_m, depth = max(r.scale_m for r in reaches), max(r.optical_depth for r in reaches)
-        return Bounds(low, high, scale_m, depth, self.device)

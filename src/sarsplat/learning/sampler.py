@@ -54,7 +54,7 @@ class Sampler:
         self._rays = RayGrid.for_image(grid, model.config.rays_per_pixel)  # as in training; errors of 0.01 dB
         self._backdrop: Tensor | None = None
         with torch.no_grad():
-            self._scene, self._ground, self._echoes = model.scene(degree), model.ground(), model.echoes()
+            self._scene, self._ground, self._echoes = model.target(degree), model.ground(), model.echoes()
         self._parts = 1
         if speckle == "response":  # pixels smaller than the Gaussians, an odd number in each
             smallest = self._scene.scales.amin(1).double().quantile(_SMALL_QUANTILE).item()

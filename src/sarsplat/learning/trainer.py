@@ -5,7 +5,6 @@ import warnings
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import torch
@@ -27,7 +26,7 @@ from sarsplat.learning.parts.target import dropped, share_dropped
 from sarsplat.learning.recorded_steps import RecordedSteps
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.learning.strategies import Info, Strategy, strategies_of
-from sarsplat.learning.strategies.strategy import Configured, of_rows
+from sarsplat.learning.strategies.strategy import Configured
 from sarsplat.learning.training_images import ViewQueue
 from sarsplat.renderer import Rendering
 from sarsplat.renderer.engines.choice import recorder_for
@@ -88,7 +87,7 @@ class Trainer:
     def _learn(self, model: SceneModel) -> None:
         """Begin to train a model, at full resolution, with new states of optimiser and strategies."""
         self._observation.begin(model)
-        self.model, self._bounds, self.images, self._factor = model, model.scene_bounds(), self._finest, 1
+        self.model, self._bounds, self.images, self._factor = model, model.target_part.bounds(), self._finest, 1
         self.optimiser = Optimiser(model.parameters, model.learned, self.config.iterations)
         for name, count in Counter(strategy.name for strategy in self.strategies).items():
             if count > 1:
@@ -118,9 +117,10 @@ class Trainer:
         loss, total, rendering = self._losses(chosen, step, step)
         self._each_strategy("step_pre_backward", step, chosen, rendering)
         total.backward()
+        rendering = detached(rendering)
         self._gather(step, rendering)
         self.optimiser.step(self.iteration)
-        return loss, detached(rendering)
+        return loss, rendering
 
     def _recorded_step(self, chosen: Sequence[int], step: int) -> tuple[Tensor, Rendering] | None:
         """Make the step by a CUDA graph; None if it cannot be recorded."""
@@ -132,9 +132,10 @@ class Trainer:
         def program(chosen: Tensor, step_number: Tensor, rates: Tensor) -> tuple[Tensor, Rendering, dict[str, Tensor]]:
             loss, total, rendering = self._losses(chosen, step, step_number)
             gradients = torch.autograd.grad(total, list(model.parameters.values()))
+            rendering = detached(rendering)
             self._gather(step, rendering)
             stepper.step_on_device(gradients, rates)
-            return loss, detached(rendering), self._terms
+            return loss, rendering, self._terms
 
         gradients_wanted = tuple(strategy.wants_plane_gradients(step) for strategy in self.strategies)
         kind = self._factor, model.degree(self.iteration), self._rays, gradients_wanted
@@ -218,15 +219,14 @@ class Trainer:
     def _gather(self, step: int, rendering: Rendering) -> None:
         """Let strategies accumulate statistics of a step with plane gradients."""
         if self._wants_plane_gradients(step):
-            of_target = of_rows(rendering, lambda rows: rows[:, : len(self.model)])
             for strategy, state in zip(self.strategies, self._states, strict=True):
-                strategy.gather(state, step, of_target, self.images.grid)
+                strategy.gather(state, step, rendering, self.images.grid)
 
     def _each_strategy(self, method: str, step: int, chosen: Sequence[int], rendering: Rendering) -> None:
         """Call a method of all strategies; when one moves rows, the states of the others follow."""
         degree, rays = self.model.degree(self.iteration), self._rays
-        of_target = of_rows(rendering, lambda rows: rows[:, : len(self.model)])
-        info = Info(self.model, self.images, tuple(chosen), of_target, degree, rays, self._bounds, self._generator)
+        rendering = replace(rendering, cross_sections=rendering.cross_sections.detach())
+        info = Info(self.model, self.images, tuple(chosen), rendering, degree, rays, self._bounds, self._generator)
         for strategy, state in zip(self.strategies, self._states, strict=True):
             getattr(strategy, method)(self.model.parameters, self.optimiser, state, step, info)
             if (moves := self.optimiser.take_moves()) is not None:
@@ -235,7 +235,7 @@ class Trainer:
                 for other in self._states:
                     if other is not state:
                         other.follow(source, kept)
-                info = replace(info, rendering=of_rows(info.rendering, partial(_followed_in, source, kept)))
+                info = replace(info, rendering=_followed(info.rendering, source, kept))
 
     @property
     def grid(self) -> ImageGrid:
@@ -323,5 +323,12 @@ class Trainer:
         self.images.views, self.iteration = snapshot.views, snapshot.iteration
 
 
-def _followed_in(source: Tensor, kept: Tensor, rows: Tensor) -> Tensor:
-    return followed(rows.transpose(0, 1), source, kept).transpose(0, 1)
+def _followed(rendering: Rendering, source: Tensor, kept: Tensor) -> Rendering:
+    """Re-index the per-Gaussian results of a rendering; they are 0 where not `kept`."""
+
+    def moved(rows: Tensor) -> Tensor:
+        return followed(rows.transpose(0, 1), source, kept).transpose(0, 1)
+
+    gradients = None if rendering.plane_gradients is None else moved(rendering.plane_gradients)
+    sections, lit_area = moved(rendering.cross_sections), moved(rendering.lit_area)
+    return replace(rendering, cross_sections=sections, lit_area=lit_area, plane_gradients=gradients)

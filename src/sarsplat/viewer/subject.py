@@ -223,7 +223,7 @@ class OfScene(Subject):
     def look_at(self, model: SceneModel, degree: int) -> None:
         """Set the scene (copied, since training may continue) and the degree of its harmonics."""
         self._model, self._groundless, self._degree = model.copy(), model.copy(ground=False), degree
-        self.scene, self.target = (part.detach() for part in (self._model.scene(degree), self._model.target(degree)))
+        self.target = self._model.target(degree).detach()
         self.has_ground = model.ground() is not None
         self._nearest: dict[str, np.ndarray] = {}
 
@@ -265,7 +265,7 @@ class OfScene(Subject):
     def contributors(self, view: View, pixel: Pixel) -> Contributors | None:
         """Contributors to a pixel, by power."""
         bounces = [echo for echo in self._model.echoes() if isinstance(echo, GroundBounce)]
-        return self._shares(self.scene, len(self.target), view, pixel, bounces[0] if bounces else None)
+        return self._shares(self.target, len(self.target), view, pixel, bounces[0] if bounces else None)
 
 
 class SceneAlone(OfScene):

@@ -7,14 +7,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float64, Int64
+from jaxtyping import Float, Float64, Int64
 from torch import Tensor
 
 from sarsplat.data import Dataset
-from sarsplat.gaussians import Gaussians, Ground
+from sarsplat.gaussians import Ground
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.learning.scene_frame import SceneFrame
-from sarsplat.renderer import Bounds
 from sarsplat.renderer.echoes import Echo
 from sarsplat.settings.config import Config
 
@@ -125,12 +124,6 @@ class Part(ABC):
         return
 
     # ---- effects ----------------------------------------------------------------------------------------------------
-    def scene(
-        self, scene: Gaussians | None, p: Parameters, degree: int, dropped: Bool[Tensor, " n"] | None
-    ) -> Gaussians | None:
-        """Add this part to the scene: harmonics up to `degree`, without the target's Gaussians that are `dropped`."""
-        return scene
-
     def ground(self, p: Parameters) -> Ground | None:
         """Plane or terrain on which rays end, γ⁰ in the model's unit; None from other parts."""
         return None
@@ -138,10 +131,6 @@ class Part(ABC):
     def echoes(self, p: Parameters) -> tuple[Echo, ...]:
         """Echoes besides the direct one and the ground's."""
         return ()
-
-    def reach(self) -> Bounds | None:
-        """Bounds of its Gaussians while parameters are in range; None if it has no Gaussians."""
-        return None
 
     def shot(self, shot: Shot, p: Parameters) -> Shot:
         """Set this part's imaging conditions (shift, gain, grid)."""

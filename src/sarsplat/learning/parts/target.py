@@ -139,19 +139,16 @@ class Target(Part):
         if self.config.law_penalty and "law" in p:
             yield "law penalty", self.config.law_penalty * ((p["law"] - self._usual) ** 2).sum(1).sum(0)
 
-    def scene(
-        self, scene: Gaussians | None, p: Parameters, degree: int, dropped: Bool[Tensor, " n"] | None
-    ) -> Gaussians:
-        """Add the Gaussians; those not `dropped` get more optical depth in compensation."""
+    def gaussians(self, p: Parameters, degree: int, dropped: Bool[Tensor, " n"] | None) -> Gaussians:
+        """Gaussians with harmonics up to `degree`; those not `dropped` get more optical depth in compensation."""
         depth = p["optical_depth"]
         if dropped is not None:
             share_left = 1 - share_dropped(self.config, len(self.frame.views))
             raised = (depth / share_left).clamp(max=self.config.max_optical_depth)
             depth = torch.where(dropped, 0.0, raised)
-        target = Gaussians(self._lifted(p["means"]), p["quaternions"], p["scales"], depth, self._scattering(p, degree))
-        return target if scene is None else Gaussians.cat([scene, target])
+        return Gaussians(self._lifted(p["means"]), p["quaternions"], p["scales"], depth, self._scattering(p, degree))
 
-    def reach(self) -> Bounds:
+    def bounds(self) -> Bounds:
         """Bounds of the Gaussians in every step, the first included."""
         config, (low, high) = self.config, self._box
         depth = max(config.max_optical_depth, config.initial_optical_depth)
@@ -159,7 +156,7 @@ class Target(Part):
             below, above = self.frame.terrain.span_m
             low, high = low + low.new_tensor([0, 0, below]), high + high.new_tensor([0, 0, above])
         largest = max(scales_m(config, self._coarsest.cell_m, self._levels.coarsest))
-        return Bounds((*low.tolist(),), (*high.tolist(),), largest, depth, "cpu")
+        return Bounds((*low.tolist(),), (*high.tolist(),), largest, depth, self.device)
 
     def _scattering(self, p: Parameters, degree: int) -> Scattering:
         """Scattering of all Gaussians, their own parameters before the shared ones."""

@@ -1,8 +1,8 @@
 """Interface of a strategy, which changes a model between steps of Adam."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
@@ -67,8 +67,8 @@ class Info:
     chosen: tuple[int, ...]
     """Numbers of the images that this step rendered."""
     rendering: Rendering
-    """Rendering of the step, with `plane_gradients` if any strategy wants them; per-Gaussian results are detached, of
-    the target only, and re-indexed after earlier strategies: 0 for new Gaussians."""
+    """Rendering of the step, with `plane_gradients` if any strategy wants them; per-Gaussian results are detached,
+    and re-indexed after earlier strategies: 0 for new Gaussians."""
     degree: int
     """Degree of the harmonics in use."""
     rays: RayGrid
@@ -100,8 +100,7 @@ class Info:
         views, largest = self.images.views, torch.zeros(len(self.model), dtype=torch.float32, device=self.model.device)
         for batch in self._batches(len(views)):
             _, rendering = self._rendered(views[batch], None)
-            areas = rendering.lit_area[:, : len(largest)]  # then the surroundings'
-            largest = torch.maximum(largest, areas.amax(0))
+            largest = torch.maximum(largest, rendering.lit_area.amax(0))
         return largest
 
     def errors(self) -> Float[Tensor, " n"]:
@@ -111,7 +110,7 @@ class Info:
         """
         total = torch.zeros(len(self.model), dtype=torch.float32, device=self.model.device)
         for batch in self._batches(len(self.images.views)):
-            total += self._errors_in(batch)[: len(total)]  # then the surroundings'
+            total += self._errors_in(batch)
         return total
 
     def _errors_in(self, batch: slice) -> Float[Tensor, " n"]:
@@ -119,7 +118,7 @@ class Info:
         channel, faintest = self.model.power_channel, _FAINTEST * self.images.brightest
         views, truth = self.images.views[batch], self.images.truth[batch]
         with torch.no_grad():
-            scene = self.model.scene(self.degree)
+            scene = self.model.target(self.degree)
             towards = scene.means.new_tensor(np.array([view.look.facing for view in views]))
             amplitudes = scene.scattering.amplitudes(towards, scene.quaternions, scene.scales)
         amplitudes.requires_grad_()
@@ -142,17 +141,6 @@ class Info:
         return self.model.render(
             views, grid, degree, rays=rays, numbers=numbers, bounds=self.bounds, amplitudes=amplitudes, estimated=False
         )
-
-
-def of_rows(rendering: Rendering, pick: Callable[[Tensor], Tensor]) -> Rendering:
-    """Re-index the per-Gaussian results of a rendering: `pick` maps [V, N, …] to [V, M, …]."""
-    gradients = rendering.plane_gradients
-    return replace(
-        rendering,
-        cross_sections=pick(rendering.cross_sections.detach()),
-        lit_area=pick(rendering.lit_area),
-        plane_gradients=None if gradients is None else pick(gradients),
-    )
 
 
 class Strategy(ABC):
