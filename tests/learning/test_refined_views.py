@@ -27,8 +27,15 @@ from sarsplat import (
 )
 from sarsplat.data import load_checkpoint, save_checkpoint
 from sarsplat.geometry.turn import turned
-from sarsplat.learning.strategies.azimuths import AZIMUTH_OFFSETS, AzimuthRefinement, lowest
-from sarsplat.learning.strategies.turns import TURN_CORRECTIONS, TurnRefinement, corrected_views, uncertain_passes
+from sarsplat.learning.strategies.views import (
+    AZIMUTH_OFFSETS,
+    TURN_CORRECTIONS,
+    AzimuthRefinement,
+    TurnRefinement,
+    corrected_views,
+    lowest,
+    uncertain_passes,
+)
 from sarsplat.settings.sections import Surroundings
 
 trimesh = pytest.importorskip("trimesh")

@@ -17,13 +17,12 @@ from sarsplat.learning.optimiser import Optimiser
 from sarsplat.learning.parts.part import Learned
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.learning.strategies import Info, State, Strategy, ops
-from sarsplat.learning.strategies.azimuths import AzimuthRefinement
 from sarsplat.learning.strategies.density import DensityControl
 from sarsplat.learning.strategies.growth import Relocating, pairs, shares_of_cubes
 from sarsplat.learning.strategies.smoothing import Smoothed
 from sarsplat.learning.strategies.strategy import Params
 from sarsplat.learning.strategies.texture import TextureEstimation
-from sarsplat.learning.strategies.turns import TurnRefinement
+from sarsplat.learning.strategies.views import AzimuthRefinement, TurnRefinement
 from sarsplat.settings.sections import Densification, Relocation, Smoothing, Surroundings, Turns
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "own_strategy.py"

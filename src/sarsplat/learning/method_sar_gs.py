@@ -26,8 +26,7 @@ from sarsplat.learning.observations import observations_of
 from sarsplat.learning.parts.target import scales_m
 from sarsplat.learning.sampler import Sampler
 from sarsplat.learning.snapshot import Snapshot
-from sarsplat.learning.strategies.azimuths import AZIMUTH_OFFSETS
-from sarsplat.learning.strategies.turns import TURN_CORRECTIONS, corrected_views, uncertain_passes
+from sarsplat.learning.strategies.views import AZIMUTH_OFFSETS, TURN_CORRECTIONS, corrected_views, uncertain_passes
 from sarsplat.learning.trainer import Trainer
 from sarsplat.names import Speckle
 from sarsplat.regions.target_region import spans
