@@ -3,7 +3,7 @@
 import logging
 import warnings
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,7 +23,6 @@ from sarsplat.learning.model import SceneModel
 from sarsplat.learning.observations import Batch, Observation, observations_of
 from sarsplat.learning.optimiser import EngineAdam, Optimiser, followed
 from sarsplat.learning.parts.target import dropped, share_dropped
-from sarsplat.learning.recorded_steps import RecordedSteps
 from sarsplat.learning.snapshot import Snapshot
 from sarsplat.learning.strategies import Info, Strategy, strategies_of
 from sarsplat.learning.strategies.strategy import Configured
@@ -31,10 +30,13 @@ from sarsplat.learning.training_images import ViewQueue
 from sarsplat.renderer import Rendering
 from sarsplat.renderer.engines.choice import recorder_for
 from sarsplat.renderer.engines.on_device import NotRecordable
-from sarsplat.renderer.engines.recorder import MOST_WORDS
+from sarsplat.renderer.engines.recorder import MOST_WORDS, Recorder, Told
 from sarsplat.settings.config import Config
 
 _log = logging.getLogger("sarsplat")
+
+StepResult = tuple[Tensor, Rendering, dict[str, Tensor]]
+"""Results of a recorded step: loss, rendering and penalties."""
 
 
 class Trainer:
@@ -42,10 +44,6 @@ class Trainer:
 
     Parameters
     ----------
-    dataset : Dataset
-        Dataset with training images.
-    config : Config
-        Settings.
     loss : callable, optional
         Loss of rendered and true images, β⁰ in linear power, that replaces the configuration's; returns one number.
     device : torch.device or str
@@ -129,7 +127,7 @@ class Trainer:
         model, stepper = self.model, self.optimiser.stepper
         assert isinstance(stepper, EngineAdam)
 
-        def program(chosen: Tensor, step_number: Tensor, rates: Tensor) -> tuple[Tensor, Rendering, dict[str, Tensor]]:
+        def program(chosen: Tensor, step_number: Tensor, rates: Tensor) -> StepResult:
             loss, total, rendering = self._losses(chosen, step, step_number)
             gradients = torch.autograd.grad(total, list(model.parameters.values()))
             rendering = detached(rendering)
@@ -202,7 +200,7 @@ class Trainer:
     def _wants_plane_gradients(self, step: int) -> bool:
         return any(strategy.wants_plane_gradients(step) for strategy in self.strategies)
 
-    def _recorder(self, loss: Loss | None) -> RecordedSteps[tuple[Tensor, Rendering, dict[str, Tensor]]] | None:
+    def _recorder(self, loss: Loss | None) -> "RecordedSteps | None":
         """Recorder of CUDA graphs; None if the device has none, or for custom losses, laws and strategies."""
         recorder = recorder_for(next(iter(self.model.parameters.values())))
         law = scattering_named(self.config.scattering)
@@ -332,3 +330,51 @@ def _followed(rendering: Rendering, source: Tensor, kept: Tensor) -> Rendering:
     gradients = None if rendering.plane_gradients is None else moved(rendering.plane_gradients)
     sections, lit_area = moved(rendering.cross_sections), moved(rendering.lit_area)
     return replace(rendering, cross_sections=sections, lit_area=lit_area, plane_gradients=gradients)
+
+
+class RecordedSteps:
+    """A recorded training step, recorded anew when the training changes.
+
+    The first step of a kind is rehearsed: it runs normally, with its numbers on the device. The second is recorded; it
+    and all later ones replay the record. `views` and `rates` are how many views and numbers for Adam a step has.
+    """
+
+    def __init__(self, recorder: Recorder, views: int, rates: int) -> None:
+        self._recorder = recorder
+        self._told = Told(
+            recorder, {"chosen": (torch.int64, views), "step": (torch.int64, 1), "rates": (torch.float32, rates)}
+        )
+        self._values: Hashable = None
+        self._objects: Sequence[object] = ()  # kept alive: a later object could have the same address
+        self._record: tuple[StepResult, Callable[[], None]] | None = None
+
+    def run(
+        self,
+        kind: tuple[Hashable, Sequence[object]],
+        program: Callable[..., StepResult],
+        chosen: Sequence[int],
+        step: int,
+        rates: Sequence[float],
+    ) -> StepResult:
+        """Make one step and return the program's result, whose tensors the next step may overwrite.
+
+        `kind` is all that determines the program's launches: values, and objects that must stay identical. The program
+        gets the other three as tensors. Raises NotRecordable, RuntimeError or SarsplatError if the step cannot be
+        recorded; the parameters are then unchanged.
+        """
+        self._told.tell(
+            chosen=torch.tensor(chosen, device="cpu"),
+            step=torch.tensor([step], device="cpu"),
+            rates=torch.tensor(rates, dtype=torch.float32, device="cpu"),
+        )
+        values, objects = kind
+        if self._values != values or [*map(id, objects)] != [*map(id, self._objects)]:
+            self._record = None
+            result = self._recorder.rehearse(lambda: program(*self._told.tensors.values()))
+            self._values, self._objects = values, objects
+            return result
+        if self._record is None:
+            self._record = self._recorder.record(lambda: program(*self._told.tensors.values()))
+        result, run = self._record
+        run()
+        return result
