@@ -87,21 +87,17 @@ def standing_out(
     """Find places brighter than the ground; arguments and errors as for `target_box`."""
     level_db, grid, axis = _levels(power, views, grid)
     above_db = _on_the_ground(np.maximum(level_db, _DARKEST_DB), views, grid, axis, np.ones(len(views)))
-    sure = above_db > _SURE_DB
-    objects: tuple[Bool[np.ndarray, "side side"], ...] = ()
-    if sure.any():
-        part, _ = _parts(above_db, sure)
-        objects = tuple(part == k for k in _objects(above_db, sure, part))
-    return StandingOut(axis, np.where(sure, above_db, 0.0), objects)
+    part = _parts(above_db)
+    objects = tuple(part == k for k in _objects(above_db, part))
+    return StandingOut(axis, np.where(above_db > _SURE_DB, above_db, 0.0), objects)
 
 
-def _objects(
-    above_db: Float64[np.ndarray, "side side"], sure: Bool[np.ndarray, "side side"], part: Int[np.ndarray, "side side"]
-) -> Int[np.ndarray, " k"]:
+def _objects(above_db: Float64[np.ndarray, "side side"], part: Int[np.ndarray, "side side"]) -> Int[np.ndarray, " k"]:
     """Numbers of the parts that are objects: peaks are no noise, and at least half the target's bright level, dB."""
-    bright_db = float(np.quantile(above_db[sure], _BRIGHT_PART))
+    if not part.any():
+        return np.empty(0, int)
     peaks_db = maximum(np.where(part > 0, above_db, -np.inf), part, np.arange(1, part.max() + 1))
-    return 1 + np.flatnonzero(peaks_db > max(_SURE_DB, _SURELY * typical(above_db)[1], bright_db / 2))
+    return 1 + np.flatnonzero(peaks_db > max(_SURE_DB, _SURELY * typical(above_db)[1], _bright_db(above_db) / 2))
 
 
 def _levels(
@@ -124,28 +120,28 @@ def _extent(
     above_db: Float64[np.ndarray, "side side"], axis: Float64[np.ndarray, " side"], i: int
 ) -> list[float] | None:
     """First and last coordinate of the target along axis i, m; None without target."""
-    sure = above_db > _SURE_DB
-    if not sure.any():
-        return None
-    part, count = _parts(above_db, sure)
-    weight = np.bincount(part.ravel(), (sure * above_db).ravel(), count + 1)
+    part = _parts(above_db)
+    weight = np.bincount(part.ravel(), ((above_db > _SURE_DB) * above_db).ravel())
     weight[0] = 0  # background
     if not weight.any():
         return None
     is_target = weight >= _LARGE_PART * weight.max()
-    is_target[_objects(above_db, sure, part)] = True
+    is_target[_objects(above_db, part)] = True
     index = np.nonzero(is_target[part])[1 - i]
     return [float(axis[index.min()]), float(axis[index.max()])]
 
 
-def _parts(
-    above_db: Float64[np.ndarray, "side side"], sure: Bool[np.ndarray, "side side"]
-) -> tuple[Int[np.ndarray, "side side"], int]:
-    """Label the connected parts that are probably brighter than the ground, from 1; also return their number."""
-    threshold_db = max(
-        _FAINTEST_DB, _PROBABLE * typical(above_db)[1], float(np.quantile(above_db[sure], _BRIGHT_PART)) - _GLINT_DB
-    )
-    return label(above_db > threshold_db)
+def _parts(above_db: Float64[np.ndarray, "side side"]) -> Int[np.ndarray, "side side"]:
+    """Label the connected parts that are probably brighter than the ground, from 1; all is 0 if none is surely."""
+    if not (above_db > _SURE_DB).any():
+        return np.zeros(above_db.shape, int)
+    threshold_db = max(_FAINTEST_DB, _PROBABLE * typical(above_db)[1], _bright_db(above_db) - _GLINT_DB)
+    return label(above_db > threshold_db)[0]
+
+
+def _bright_db(above_db: Float64[np.ndarray, "side side"]) -> float:
+    """Level of the target's bright part above the ground, dB."""
+    return float(np.quantile(above_db[above_db > _SURE_DB], _BRIGHT_PART))
 
 
 def _height(

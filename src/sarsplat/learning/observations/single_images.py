@@ -157,10 +157,9 @@ def _cut(tile: Tile, means: Float[Tensor, "n 3"], parts: int, axis: int) -> list
     places = means.detach().cpu()[tile.holds(means).cpu()][:, axis].sort().values
     inner = [float(places[len(places) * k // parts]) for k in range(1, parts)]
     edges = [tile.low[axis], *sorted({edge for edge in inner if edge > float(places[0])}), tile.high[axis]]
-    along = [((low, tile.low[1]), (high, tile.high[1])) for low, high in pairwise(edges)]
-    if axis == 1:
-        along = [((tile.low[0], low), (tile.high[0], high)) for low, high in pairwise(edges)]
-    return [Tile(low, high) for low, high in along]
+    if axis == 0:
+        return [Tile((low, tile.low[1]), (high, tile.high[1])) for low, high in pairwise(edges)]
+    return [Tile((tile.low[0], low), (tile.high[0], high)) for low, high in pairwise(edges)]
 
 
 def with_some(snapshot: Snapshot, rows: Collection[str], which: Bool[Tensor, " n"]) -> Snapshot:
