@@ -68,7 +68,7 @@ def box_dataset(folder: Path, grid: ImageGrid, *, masks: bool = False) -> Datase
     pytest.importorskip("embreex")
     from sarsplat.scenes.raycast import raycast_masks
 
-    mesh = _boxes(((3.0, 2.0, 1.2), (0, 0, 0.6)))
+    mesh = boxes(((3.0, 2.0, 1.2), (0, 0, 0.6)))
     views = [(View(azimuth, grazing), "train") for azimuth in range(0, 360, 60) for grazing in (20.0, 50.0)]
     views += [(View(azimuth, 35.0), "test") for azimuth in (30, 200)]
     alone = [view for view, _ in views]
@@ -82,14 +82,14 @@ def lorry(scale: float = 1.0) -> Any:
     """A long box with a cabin at one end and a mast, of no symmetry, larger or smaller."""
     pytest.importorskip("embreex")  # by which images of it are made
     parts = ((6, 2, 1), (0, 0, 0.5)), ((1.5, 1.8, 1.2), (2.2, 0, 1.6)), ((0.8, 0.8, 1), (-2, 0.6, 1.5))
-    return _boxes(*((np.multiply(sides, scale), np.multiply(middle, scale)) for sides, middle in parts))
+    return boxes(*((np.multiply(sides, scale), np.multiply(middle, scale)) for sides, middle in parts))
 
 
-def _boxes(*parts: tuple[Any, Any]) -> Any:
+def boxes(*parts: tuple[Any, Any]) -> Any:
     """Mesh of boxes: sides and middles, m."""
     trimesh = pytest.importorskip("trimesh")
-    boxes = [trimesh.creation.box(sides).apply_translation(middle) for sides, middle in parts]
-    return trimesh.util.concatenate(boxes) if len(boxes) > 1 else boxes[0]
+    made = [trimesh.creation.box(sides).apply_translation(middle) for sides, middle in parts]
+    return trimesh.util.concatenate(made) if len(made) > 1 else made[0]
 
 
 def terrain(height, half_m: tuple[float, float] = (15.0, 15.0), pitch_m: tuple[float, float] = (0.5, 0.5)) -> Terrain:

@@ -11,7 +11,7 @@ import pytest
 import torch
 from scipy.ndimage import gaussian_filter
 
-from made import dataset_of
+from made import boxes, dataset_of
 from sarsplat import (
     PRESETS,
     Dataset,
@@ -123,10 +123,7 @@ def test_a_loss_of_ones_own_is_on_the_gpu_untried(dataset: Dataset, config, monk
     monkeypatch.setattr(type(METHOD), "trainer", trainer)
     with pytest.raises(ReachedError):
         reconstruct(dataset, replace(config, iterations=1000), loss=lambda a, b: (a - b).abs().mean())
-
-
-def test_few_iterations_are_not_tried() -> None:
-    assert quicker_device(lambda where: pytest.fail("is tried"), GPU, 100) == (GPU, "")
+    assert quicker_device(lambda where: pytest.fail("is tried"), GPU, 100) == (GPU, "")  # nor are few iterations
 
 
 # ---- settings: images with gains of their own are measured ones, others are a scene ----------------------------------
@@ -138,9 +135,8 @@ GAIN_DB = 2.0
 @pytest.fixture(scope="module")
 def scene() -> Dataset:
     """A box on speckled ground."""
-    trimesh = pytest.importorskip("trimesh")
     pytest.importorskip("embreex")
-    mesh = trimesh.creation.box((4.0, 2.5, 1.5)).apply_translation([0.5, 0, 0.75])
+    mesh = boxes(((4.0, 2.5, 1.5), (0.5, 0, 0.75)))
     power = simulate_images(mesh, VIEWS, GRID, ground_gamma0=0.05, ray_spacing=0.05)
     power = add_speckle(power, 1, np.random.default_rng(0))
     return dataset_of(GRID, [(view, "train") for view in VIEWS], power, looks=1.0, ground=True)
@@ -156,6 +152,7 @@ def test_images_of_one_scale_and_place_need_no_nuisances_at_any_scale_of_all(sce
     config = METHOD.preset("auto", scene)
     assert replace(config, evidence="") == PRESETS["scene"]
     assert "0 of 16 images displaced; too little, so neither gains nor shifts are learned" in config.evidence
+    assert chosen(replace(scene, entries=scene.entries[:3], power=scene.power[:3])).preset == "scene"  # by no trial
     louder = replace(scene, power=1024 * scene.power)  # without rounding, which changes digits of the evidence
     assert chosen(louder) == config
 
@@ -234,8 +231,3 @@ def test_gaussians_have_the_gamma0_of_the_images(scene: Dataset) -> None:
     expected = run.render(scene.views[:2])
     images = render(run.gaussians, scene.views[:2], scene.grid).images[:, 0]
     np.testing.assert_allclose(images.numpy(), expected, rtol=0.05, atol=1e-3 * float(expected.max()))
-
-
-def test_too_few_images_are_a_scene(scene: Dataset) -> None:
-    few = replace(scene, entries=scene.entries[:3], power=scene.power[:3])
-    assert chosen(few).preset == "scene"

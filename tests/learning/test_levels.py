@@ -56,8 +56,8 @@ def test_the_first_renderings_have_a_share_of_the_images_power(scene: Dataset, c
     assert np.quantile(powers, 0.25) == pytest.approx(many.initial_scattering, rel=0.1)
 
 
-def levels(side_m: float, iterations: int = 100, coarsest: int = 8, pixels: int = 640) -> Levels:
-    grid = ImageGrid(pixels, pixels, (0.3, 0.3), (0.3, 0.3))
+def levels(side_m: float, iterations: int = 100, coarsest: int = 8, rows: int = 640, pixel_m: float = 0.3) -> Levels:
+    grid = ImageGrid(rows, 640, (0.3, pixel_m), (0.3, pixel_m))
     frame = SceneFrame(Region.box((0.0, 0.0, 0.0), (side_m, side_m, 5.0)), 1.0, tuple(VIEWS), grid)
     return Levels.of(replace(preset("default"), iterations=iterations, coarsest=coarsest), frame)
 
@@ -67,15 +67,10 @@ def levels(side_m: float, iterations: int = 100, coarsest: int = 8, pixels: int 
     [(7, 4, 1), (11, 4, 1), (13, 4, 2), (30, 8, 4), (900, 8, 8), (900, 64, 16), (900, 1, 1)],
 )
 def test_the_first_images_are_as_coarse_as_the_target_is_large(side_m: float, coarsest: int, first: int) -> None:
-    made = levels(side_m, coarsest=coarsest, pixels=600)
+    made = levels(side_m, coarsest=coarsest, rows=600)
     assert made.factor(0) == first
     assert made.factor(99) == 1
-
-
-def test_images_of_one_row_are_looked_at_as_they_are() -> None:
-    grid = ImageGrid(1, 640, (0.3, 300.0), (0.3, 300.0))
-    frame = SceneFrame(Region.box((0.0, 0.0, 0.0), (9e4, 9e4, 5.0)), 1.0, tuple(VIEWS), grid)
-    assert Levels.of(preset("default"), frame).coarsest == 1
+    assert levels(9e4, rows=1, pixel_m=300.0).coarsest == 1  # images of one row
 
 
 def test_levels_follow_each_other_and_the_last_has_the_least_time() -> None:

@@ -24,9 +24,7 @@ from sarsplat.settings.sections import Bounce, Densification, FlatGround, Reloca
 
 STEPS = 20
 SELDOM = Surroundings(texture_rounds=2, azimuth_rounds=2)
-DENSITY = Densification(
-    start=3, stop=12, every=5, gradient=1e-4, split_above=0.16, max_extent=0.3, min_scattering=0.01, max_gaussians=300
-)
+DENSITY = Densification(3, 12, 5, gradient=1e-4, split_above=0.16, min_scattering=0.01, max_gaussians=300)
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import pytest
 import torch
 from jaxtyping import Float64
 
-from made import FEW_POINTS, dataset_of
+from made import FEW_POINTS, boxes, dataset_of
 from made_runs import assert_same
 from sarsplat import (
     Dataset,
@@ -38,7 +38,6 @@ from sarsplat.learning.strategies.views import (
 )
 from sarsplat.settings.sections import Surroundings
 
-trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("embreex")
 
 GRID = ImageGrid(44, 44, (0.25, 0.25), (0.3, 0.3))
@@ -46,11 +45,6 @@ STD_DEG = 3.0
 SHORT = {"iterations": 40, "gaussians": 500, "harmonics_every": 16, "checkpoint_every": 21}
 CONFIG = replace(preset("measured"), **SHORT, points=FEW_POINTS)
 AROUND = np.arange(0, 360, 20)
-
-
-def boxes(*parts: tuple[Sequence[float], Sequence[float]]) -> trimesh.Trimesh:
-    """Mesh of boxes: sides and middles, m."""
-    return trimesh.util.concatenate([trimesh.creation.box(sides).apply_translation(at) for sides, at in parts])
 
 
 @pytest.fixture(scope="module")

@@ -28,6 +28,7 @@ VIEW = View(0.0, 45.0)
 NOISE = 0.05
 OFFSETS = tuple(0.0052 * (k / 5 - 0.5) for k in range(6))  # 3 m of resolution in elevation
 LAW = ScatteringLaw(floor=1.0, lobe=0.0, exponent=1.0)
+FEW = replace(preset("speckled"), iterations=1, fewest_gaussians=10)
 
 
 def block(height: float) -> trimesh.Trimesh:
@@ -99,8 +100,7 @@ def test_a_run_renders_its_covariances_with_noise(run, stacks):
 
 @pytest.mark.filterwarnings("ignore:there is one training view")
 def test_a_run_of_power_alone_has_no_covariances(stacks):
-    few = replace(preset("speckled"), iterations=1, fewest_gaussians=10)
-    alone = reconstruct(stacks, few, quiet=True)
+    alone = reconstruct(stacks, FEW, quiet=True)
     with pytest.raises(SarsplatError, match="has not learned phases, so it has no covariances"):
         alone.render_covariances([VIEW], stacks.stacks)
     own = Run.from_gaussians(alone.gaussians, GRID)
@@ -159,14 +159,11 @@ def test_images_that_are_no_stacks_are_none():
         Dataset(GRID, images.entries, images.power, signal=images.signal[:, 0])
 
 
-def test_a_box_higher_than_an_ambiguity_is_warned_of():
-    high = replace(dataset(), target_box_m=((-5.0, -5.0, 0.0), (5.0, 5.0, 40.0)))
-    assert any("repeat every 10.5 m of height, and the target's box is 40 m high" in text for text in suspicions(high))
-    assert not suspicions(dataset())
-
-
-def test_a_wavelength_in_millimetres_and_noise_in_another_unit_are_warned_of():
+def test_a_box_higher_than_an_ambiguity_a_wavelength_in_millimetres_and_noise_in_another_unit_are_warned_of():
     images = dataset()
+    assert not suspicions(images)
+    high = replace(images, target_box_m=((-5.0, -5.0, 0.0), (5.0, 5.0, 40.0)))
+    assert any("repeat every 10.5 m of height, and the target's box is 40 m high" in text for text in suspicions(high))
     for changes, words in (
         ({"wavelength_m": 31.0}, "resolve elevations of 2.98e.03 m at best, and images show 14 m, .* wavelength, 31 m"),
         ({"noise": (100.0,) * 6}, "the stack 0 states noise of 100 and has a mean power of 0"),
@@ -179,22 +176,19 @@ def test_a_wavelength_in_millimetres_and_noise_in_another_unit_are_warned_of():
 @pytest.mark.filterwarnings("ignore:there is one training view")
 def test_polarisations_may_be_learned_from_by_power_alone():
     images = dataset()
-    assert images.signal is not None
     pair = Stack(0.031, (0.0, 0.0), polarisations=("HH", "VV"))
     entries = (replace(images.entries[0], stack=pair),)
     polarimetric = Dataset.of_complex(GRID, entries, images.signal[:, :2], looks=1.0)
     with pytest.raises(SarsplatError, match=r"equal in all polarisations, but .* has HH, VV"):
         reconstruct(polarimetric, "stack", quiet=True)
-    few = replace(preset("speckled"), iterations=1, fewest_gaussians=10)
-    assert reconstruct(polarimetric, few, quiet=True).snapshot.stacks == ()
+    learned = reconstruct(polarimetric, FEW, quiet=True)
+    assert learned.snapshot.stacks == ()
     with pytest.raises(SarsplatError, match="polarisations HH, VV, and the Gaussians' scattering has one alone"):
-        render_covariances(reconstruct(polarimetric, few, quiet=True).gaussians, [VIEW], GRID, pair)
+        render_covariances(learned.gaussians, [VIEW], GRID, pair)
 
 
 def test_without_a_box_all_that_images_show_is_looked_at_wherever_they_lie():
-    moved = replace(GRID, center_m=(40.0, -30.0))
-    images = dataset()
-    assert images.signal is not None
+    moved, images = replace(GRID, center_m=(40.0, -30.0)), dataset()
     far = Dataset.of_complex(moved, images.entries, images.signal, looks=1.0)
     region = stack_region(far)
     corners = np.array([[x, y, 0.0] for x in (moved.extent_m[:2]) for y in (moved.extent_m[2:])])
@@ -242,14 +236,7 @@ AWAY = ((100.0, 100.0, 0.0), (110.0, 110.0, 5.0))
         ),
         (lambda: replace(dataset(), target_box_m=AWAY), {}, "no training image shows the box"),
         (lambda: of_stacks(*PAIRS), {}, r"v0 has the polarisations HH, VV and v1 has HH, HV; give all views"),
-        *(
-            (
-                partial(of_two, noise=(noise, 0.1)),
-                {},
-                rf"v0 states noise of {noise:g} where .* state at least .*, or none",
-            )
-            for noise in (1e-12, 1e-7)
-        ),
+        (partial(of_two, noise=(1e-7, 0.1)), {}, r"v0 states noise of 1e-07 where .* state at least .*, or none"),
         (of_two, changed(passes=replace(PASSES, window=25)), "passes.window is 25, more than the 24 × 20 pixels of"),
         (of_two, changed(passes=None), "the loss passes needs passes on"),
         (dataset, {"loss": lambda a, b: a.mean()}, "loss is .*, which cannot be combined with passes on; give"),

@@ -24,9 +24,7 @@ from sarsplat.runs import Step
 from sarsplat.settings.sections import Densification, Relocation
 from sarsplat.surface import extract_points
 
-DENSITY = Densification(
-    start=4, stop=100, every=4, gradient=1e-4, split_above=0.16, max_extent=0.3, min_scattering=0.01, max_gaussians=300
-)
+DENSITY = Densification(4, 100, 4, gradient=1e-4, split_above=0.16, min_scattering=0.01, max_gaussians=300)
 
 
 def small(**changes: Any) -> Config:

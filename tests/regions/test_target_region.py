@@ -41,7 +41,6 @@ def shown() -> Dataset:
 
 
 INNER = (-1.5, -1.5, 0.0, 1.5, 1.5, 1.0)
-WHOLE = (-5.0, -5.0, 0.0, 5.0, 5.0, 1.0)
 
 
 def test_a_box_of_the_settings_precedes_the_datasets_and_that_the_images(shown: Dataset) -> None:
@@ -54,12 +53,15 @@ def test_a_box_of_the_settings_precedes_the_datasets_and_that_the_images(shown: 
         assert (own.low.tolist(), own.high.tolist()) == ([-1.5, -1.5, 0], [1.5, 1.5, 1])
 
 
-def test_what_stands_out_beyond_the_box_is_said(shown: Dataset) -> None:
-    region = target_region(shown, ground=True, box=Config(target_box=INNER).box_m)
-    (said,) = cut_off(region, 0.3, shown)
+def test_what_stands_out_beyond_the_box_is_said_and_speckle_is_not(shown: Dataset) -> None:
+    (said,) = cut_off(Region.box(INNER[:3], INNER[3:]), 0.3, shown)
     assert "of the brightness above the ground lies outside of the box" in said
     assert "give another `target_box`" in said
-    assert cut_off(target_region(shown, ground=True, box=Config(target_box=WHOLE).box_m), 0.3, shown) == []
+    assert cut_off(Region.box((-5.0, -5.0, 0.0), (5.0, 5.0, 1.0)), 0.3, shown) == []
+    power = np.random.default_rng(0).exponential(size=(len(VIEWS), 40, 40)).astype(np.float32)
+    power[:, 17:23, 17:23] *= 30
+    speckled = on_ground(GRID, power)
+    assert cut_off(target_region(speckled, ground=True), 0.3, speckled) == []
 
 
 def test_every_object_is_in_the_box_and_what_stands_beside_a_given_one_is_said() -> None:
@@ -74,17 +76,10 @@ def test_every_object_is_in_the_box_and_what_stands_beside_a_given_one_is_said()
     assert " is outside of the box it is looked for in (" in said
     around = tuple(float(word) for word in said.partition("target_box=(")[2].partition(")")[0].split(", "))
     assert around[3] > 6
-    assert cut_off(target_region(dataset, ground=True, box=Config(target_box=around).box_m), 0.0, dataset) == []
+    assert cut_off(Region.box(around[:3], around[3:]), 0.0, dataset) == []
     assert target_region(dataset, ground=True).high[0] > 6
     power[:, 26:38, 26:38] = 1e5  # beside which it may be a response of glints
     assert cut_off(target_region(dataset, ground=True), 0.0, dataset) == []
-
-
-def test_speckled_ground_alone_says_nothing() -> None:
-    power = np.random.default_rng(0).exponential(size=(len(VIEWS), 40, 40)).astype(np.float32)
-    power[:, 17:23, 17:23] *= 30
-    dataset = on_ground(GRID, power)
-    assert cut_off(target_region(dataset, ground=True), 0.3, dataset) == []
 
 
 def test_gaussians_stay_in_the_given_box_and_a_run_keeps_it(shown: Dataset) -> None:
@@ -93,11 +88,6 @@ def test_gaussians_stay_in_the_given_box_and_a_run_keeps_it(shown: Dataset) -> N
         run = reconstruct(shown, config, quiet=True)
     reach = 1.5 + config.margin * GRID.cell_m
     assert float(run.gaussians.means[:, :2].abs().max()) <= reach + 1e-6
-
-
-def test_a_box_upside_down_is_refused() -> None:
-    with pytest.raises(SarsplatError, match=r"target_box is .*lower corner"):
-        Config(target_box=(1.0, -1.0, 0.0, -1.0, 1.0, 2.0))
 
 
 # ---- the box of what stands out from the ground ----------------------------------------------------------------------
@@ -177,14 +167,26 @@ def test_it_contains_the_target_and_little_more_in_scenes_of_any_size(slab, view
 
 STEEP_TOO = [View(azimuth, grazing) for azimuth in range(0, 360, 45) for grazing in (15, 45, 75)]
 TWENTY = [View(azimuth, 20.0) for azimuth in range(7, 360, 15)]
+STEEP = [View(azimuth, 70.0) for azimuth in range(0, 360, 30)]
 
 
-@pytest.mark.parametrize("views", [STEEP_TOO, TWENTY[::3]])
-@pytest.mark.parametrize("speckle", [False, True])
-def test_nothing_of_what_is_high_lies_outside_and_little_is_beside_it_or_above(views: list[View], speckle) -> None:
-    low, high = target_box(images(TANK, views, CHIP, speckle=speckle), views, CHIP)
+@pytest.mark.parametrize(
+    ("views", "options", "share", "more_m"),
+    [
+        *((views, {"speckle": speckle}, 0, 4.06) for views in (STEEP_TOO, TWENTY[::3]) for speckle in (False, True)),
+        (STEEP, {}, 1, 0.32),  # they leave the height open
+        (TWENTY, {"shadow": 0.5}, 0.65, 1e-6),  # a shadow that is hardly dark does not tell the height
+    ],
+)
+def test_nothing_of_what_is_high_lies_outside_and_little_is_beside_it_or_above(
+    views: list[View], options: dict[str, float], share: float, more_m: float
+) -> None:
+    """The height is at most a share of the narrower side and some metres more."""
+    low, high = target_box(images(TANK, views, CHIP, **options), views, CHIP)
     check((-3.5, 5.5, -1.7, 1.7), low, high, 0.31)
-    assert 2.2 <= high[2] < 2.2 + 6 * 0.31
+    most_m = share * (high - low)[:2].min() + more_m
+    assert 2.2 <= high[2] < most_m
+    assert "shadow" not in options or high[2] == pytest.approx(most_m)
 
 
 @pytest.mark.parametrize("at", [(0.0, 0.0), (3.0, -4.0)])
@@ -217,13 +219,6 @@ def test_a_shadow_that_leaves_the_images_leaves_the_height_open() -> None:
     assert 2.2 <= high[2] <= 0.65 * (high - low)[:2].min() + 4 * 0.32
 
 
-def test_steep_views_leave_the_height_open_and_do_not_cut_it_off() -> None:
-    views = [View(azimuth, 70.0) for azimuth in range(0, 360, 30)]
-    low, high = target_box(images(TANK, views, CHIP), views, CHIP)
-    check((-3.5, 5.5, -1.7, 1.7), low, high, 0.31)
-    assert 2.2 <= high[2] <= (high - low)[:2].min() + 0.32
-
-
 def test_a_thin_part_that_hardly_stands_out_belongs_to_it() -> None:
     hull, barrel = (-3, 3, -1.5, 1.5), (3, 5, -0.15, 0.15)
     power = images([hull], ALL_AROUND, CHIP) + images([barrel], ALL_AROUND, CHIP, power=6.0)
@@ -244,12 +239,6 @@ def test_images_that_are_black_or_hold_zeros_do_no_harm() -> None:
     power[power < 0.3 * np.median(power)] = 0
     check(SLAB, *target_box(power, ALL_AROUND, CHIP), 0.31)
     assert np.isfinite(target_box(np.zeros_like(power), ALL_AROUND, CHIP)).all()
-
-
-def test_a_shadow_that_is_hardly_dark_does_not_tell_the_height() -> None:
-    low, high = target_box(images(TANK, TWENTY, CHIP, shadow=0.5), TWENTY, CHIP)
-    check((-3.5, 5.5, -1.7, 1.7), low, high, 0.31)
-    assert high[2] == pytest.approx(0.65 * (high - low)[:2].min())
 
 
 @pytest.mark.parametrize("center_m", [(100.0, 0.0), (0.0, -50.0)])

@@ -48,6 +48,7 @@ def changed(path: str, value: Any) -> dict[str, Any]:
         ("initial_scale", 1e300, "a number from 1e-06 to 1e+06"),
         ("scale_bounds", [0.01], "2 values, each a number"),
         ("scale_bounds", [0.3, 0.01], "the smaller one first"),
+        ("target_box", [1.0, -1.0, 0.0, -1.0, 1.0, 2.0], "give the lower corner (x, y, z) and then the upper one"),
         ("scale_bounds", [1e-9, 0.3], "2 values, each a number from 1e-06"),
         ("rates.means", 0, "a number from 1e-06"),
         ("rates.scattering", -1e-9, "a number from 0"),
