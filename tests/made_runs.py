@@ -30,8 +30,13 @@ def trained(dataset: Dataset, config: Config, steps: int, snapshot: Snapshot | N
 
 def assert_same(one: Snapshot, other: Snapshot) -> None:
     """Assert that all tensors are the same to the bit."""
-    assert one.tensors.keys() == other.tensors.keys()
-    assert [name for name, tensor in one.tensors.items() if not torch.equal(tensor, other.tensors[name])] == []
+    assert_equal(one.tensors, other.tensors)
+
+
+def assert_equal(one: dict[str, torch.Tensor], other: dict[str, torch.Tensor]) -> None:
+    """Assert that tensors of the same names are the same to the bit."""
+    assert one.keys() == other.keys()
+    assert [name for name, tensor in one.items() if not torch.equal(tensor, other[name])] == []
 
 
 # ---- points of any surface ------------------------------------------------------------------------------------------

@@ -1,5 +1,6 @@
 """Choices by trying: the quicker device, and settings by evidence."""
 
+import re
 import time
 import warnings
 from dataclasses import replace
@@ -35,13 +36,15 @@ GPU = torch.device("cuda", 0)
 
 
 class Taking:
-    """A training whose steps take so many seconds."""
+    """A training whose steps take so many seconds, or fail."""
 
-    def __init__(self, seconds: float) -> None:
+    def __init__(self, seconds: float | None) -> None:
         self.seconds, self.steps = seconds, 0
         warnings.warn("as ever", UserWarning, stacklevel=1)
 
     def step(self) -> None:
+        if self.seconds is None:
+            raise SarsplatError("the memory of cuda:0 is not enough\nfor it")
         self.steps += 1
         time.sleep(self.seconds)
 
@@ -50,37 +53,29 @@ class Taking:
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize(("on_gpu", "on_cpu", "chosen"), [(0.001, 0.02, "cuda"), (0.02, 0.001, "cpu")])
-def test_the_quicker_one(on_gpu: float, on_cpu: float, chosen: str) -> None:
-    made: list[tuple[str, Taking]] = []
+@pytest.mark.parametrize(
+    ("on_gpu", "on_cpu", "chosen", "words"),
+    [
+        (0.001, 0.02, "cuda", ""),
+        (0.02, 0.001, "cpu", r"a step takes 1\..* ms there, and 2.*; device cuda takes the GPU nevertheless"),
+        (None, 0.001, "cpu", "on the GPU, the memory of cuda:0 is not enough"),
+        (0.001, None, "cuda", ""),
+    ],
+)
+def test_the_quicker_one(on_gpu: float | None, on_cpu: float | None, chosen: str, words: str) -> None:
+    """A device on which a step fails is not taken, and the slower one is not waited for."""
+    made: dict[str, Taking] = {}
 
     def make(where: torch.device) -> Taking:
-        made.append((where.type, Taking(on_gpu if where == GPU else on_cpu)))
-        return made[-1][1]
+        return made.setdefault(where.type, Taking(on_gpu if where == GPU else on_cpu))
 
     where, said = quicker_device(make, GPU, 1000)  # type: ignore[arg-type]
     assert where.type == chosen
-    assert [kind for kind, _ in made] == ["cuda", "cpu"]
+    assert re.fullmatch(f"training on the CPU: {words}" if words else "", said)
+    if on_gpu is not None:
+        assert [*made] == ["cuda", "cpu"]
     if chosen == "cuda":
-        assert said == ""
-        assert made[1][1].steps < 5  # it is not waited for
-    else:
-        assert said.startswith("training on the CPU: a step takes 1.")
-        assert " ms there, and 2" in said
-        assert said.endswith("device cuda takes the GPU nevertheless")
-
-
-@pytest.mark.parametrize(
-    ("fails", "chosen", "message"),
-    [("cuda", "cpu", "training on the CPU: on the GPU, the memory of cuda:0 is not enough"), ("cpu", "cuda", "")],
-)
-def test_where_a_step_fails_it_is_not_done(fails: str, chosen: str, message: str) -> None:
-    class Failing(Taking):
-        def step(self) -> None:
-            raise SarsplatError("the memory of cuda:0 is not enough\nfor it")
-
-    where, said = quicker_device(lambda where: (Failing if where.type == fails else Taking)(0.001), GPU, 1000)  # type: ignore[arg-type, return-value]
-    assert (where.type, said) == (chosen, message)
+        assert made["cpu"].steps < 5
 
 
 def test_what_is_said_once_of_the_cpu_engine_is_said(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -264,62 +264,44 @@ def test_test_frames_follow_their_pass(frames: tuple[np.ndarray, list[View], lis
     assert found[1] != shots[1].view and found[2] == shots[2].view
 
 
-def linear(slopes: np.ndarray, best: np.ndarray, noise: np.ndarray, turn: Turn, view: View):
-    """Images that change in proportion to corrections, which are read from how the view of one frame has changed."""
-    steps = 1e-3 * np.eye(3)
-    base = signature(view)
-    jacobian = np.stack([(signature(turn.corrected(view, tuple(s[:2]), s[2])) - base) / 1e-3 for s in steps], axis=1)
-
-    def differences(views: Sequence[View], numbers: np.ndarray) -> np.ndarray:
-        found = [np.linalg.lstsq(jacobian, signature(one) - base, rcond=None)[0] for one in views]
-        return np.stack([noise + slopes @ (correction - best) for correction in found])
-
-    return differences
-
-
-def refinement_of(turn: Turn) -> tuple[View, TurnRefinement]:
-    """Of one frame."""
-    view = turn.seen_from(SIGHT)
-    dataset = Dataset.from_images([SarImage(np.ones((36, 36), np.float32), view, SPUN)], turns=[turn])
-    return view, TurnRefinement(SPINNING, dataset)
-
-
 def signature(view: View) -> np.ndarray:
     return view.look.gradients.ravel()
 
 
+def found_by(turn: Turn, slopes: np.ndarray, best: np.ndarray, noise: np.ndarray, samples: float, steps: int):
+    """Corrections from one frame, whose image changes in proportion to those that its view has had."""
+    view, size = turn.seen_from(SIGHT), 1e-3
+    dataset = Dataset.from_images([SarImage(np.ones((36, 36), np.float32), view, SPUN)], turns=[turn])
+    refinement, base, found = TurnRefinement(SPINNING, dataset), signature(view), np.zeros((1, 3))
+    moved = [signature(turn.corrected(view, tuple(s[:2]), s[2])) - base for s in size * np.eye(3)]
+    jacobian = np.stack(moved, axis=1) / size
+
+    def differences(views: Sequence[View], numbers: np.ndarray) -> np.ndarray:
+        corrections = [np.linalg.lstsq(jacobian, signature(one) - base, rcond=None)[0] for one in views]
+        return np.stack([noise + slopes @ (correction - best) for correction in corrections])
+
+    for _ in range(steps):
+        found = refinement.stepped(found, differences, np.array([samples]), 0.05)
+    return found[0]
+
+
 def test_frames_and_what_was_assumed_count_by_their_variance() -> None:
     """One pixel for each correction: the answer is the mean, weighted by the reciprocals of the variances."""
-    turn = Turn((0, 0, 1), 70.0, 1.0, 0.02)
-    view, refinement = refinement_of(turn)
-    best, noise, samples = np.array([0.2, -0.1, 0.004]), np.full(4, 0.5), np.array([40.0])
-    std = np.array([1.0, 1.0, 0.02])
+    best, std = np.array([0.2, -0.1, 0.004]), np.array([1.0, 1.0, 0.02])
     slopes = np.concatenate([np.diag(0.1 / std), np.zeros((1, 3))])
-    noise[:3] = 0
-    found = np.zeros((1, 3))
-    for _ in range(40):
-        found = refinement.stepped(found, linear(slopes, best, noise, turn, view), samples, 0.05)
-    information = samples[0] * 0.1**2 / 0.5**2
-    assert found[0] / best == pytest.approx(information / (1 + information), rel=0.02)
+    found = found_by(Turn((0, 0, 1), 70.0, 1.0, 0.02), slopes, best, np.array([0, 0, 0, 0.5]), 40.0, 40)
+    information = 40 * 0.1**2 / 0.5**2
+    assert found / best == pytest.approx(information / (1 + information), rel=0.02)
 
 
-def test_what_is_known_exactly_of_an_uncertain_pass_stays() -> None:
+def test_what_is_known_exactly_of_an_uncertain_pass_stays_and_the_most_unlikely_is_not_believed() -> None:
     for std, free in (((2.0, 0.0), [True, True, False]), ((0.0, 0.02), [False, False, True])):
         turn = Turn((0, 0, 1), 70.0, *std)
-        view, refinement = refinement_of(turn)
-        differences = linear(np.eye(3), np.array([0.2, 0.1, 0.01]), np.ones(3), turn, view)
-        found = refinement.stepped(np.zeros((1, 3)), differences, np.array([50.0]), 0.05)
-        assert (found[0] != 0).tolist() == free
-
-
-def test_what_would_be_most_unlikely_is_not_believed() -> None:
+        found = found_by(turn, np.eye(3), np.array([0.2, 0.1, 0.01]), np.ones(3), 50.0, 1)
+        assert (found != 0).tolist() == free
     turn = Turn((0, 0, 1), 70.0, 0.5, 0.01)
-    view, refinement = refinement_of(turn)
-    differences = linear(np.eye(3), np.array([40.0, 0.1, 0.3]), np.ones(3), turn, view)
-    found = np.zeros((1, 3))
-    for _ in range(30):
-        found = refinement.stepped(found, differences, np.array([1e6]), 0.05)
-    assert found[0, 0] == 1.5 and abs(found[0, 2]) <= 0.03
+    found = found_by(turn, np.eye(3), np.array([40.0, 0.1, 0.3]), np.ones(3), 1e6, 30)
+    assert found[0] == 1.5 and abs(found[2]) <= 0.03
 
 
 def test_offsets_and_corrections_of_another_training_are_refused(refined: Run, righted: Run) -> None:

@@ -115,9 +115,8 @@ def test_their_level_is_theirs_alone_and_differentiable() -> None:
     assert float(added[40, 70]) < 1e-3 * float(added[60, 50])
     level = torch.tensor([0.7, 1.3], dtype=torch.float64, requires_grad=True)
     small = ImageGrid(5, 4, ODD.spacing_m, ODD.resolution_m)
-    assert torch.autograd.gradcheck(
-        lambda some, much: with_side_lobes(some, much, small), (images[:, :5, :4].detach().requires_grad_(), level)
-    )
+    part = images[:, :5, :4].detach().requires_grad_()
+    assert torch.autograd.gradcheck(lambda some, much: with_side_lobes(some, much, small), (part, level))
 
 
 def test_they_are_those_of_the_grid_s_response():

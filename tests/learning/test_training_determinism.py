@@ -14,8 +14,8 @@ import pytest
 import torch
 from train_once import config
 
-from made import box_dataset, dataset_of, small_dataset
-from made_runs import assert_same, made_up, trained
+from made import box_dataset, boxes, dataset_of, small_dataset
+from made_runs import assert_equal, assert_same, made_up, trained
 from sarsplat import Config, Dataset, ImageGrid, Run, ScatteringLaw, View, preset, reconstruct, simulate_raycast
 from sarsplat.data import load_checkpoint, write_dataset
 from sarsplat.geometry import RayGrid
@@ -37,15 +37,12 @@ _STEPS = 11  # one of them with density control
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    trimesh = pytest.importorskip("trimesh")
     pytest.importorskip("embreex")
-    mesh = trimesh.creation.box((3.0, 2.0, 1.2))
-    mesh.apply_translation([0, 0, 0.6])
+    mesh = boxes(((3.0, 2.0, 1.2), (0, 0, 0.6)))
     views = [(View(azimuth, 40.0), "train") for azimuth in range(0, 360, 40)]
     images = np.stack([simulate_raycast(mesh, view, GRID, ScatteringLaw()) for view, _ in views])
     images += 0.02 * np.random.default_rng(0).exponential(size=images.shape).astype(np.float32)  # no two pixels alike
-    path = tmp_path_factory.mktemp("box") / "dataset"
-    return write_dataset(path, dataset_of(GRID, views, images))
+    return write_dataset(tmp_path_factory.mktemp("box") / "dataset", dataset_of(GRID, views, images))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -60,9 +57,7 @@ def test_threads_change_nothing(dataset: Dataset, kind: str, threads: Any) -> No
 
     alone = states_of(1)
     for count in (2, 3):
-        states = states_of(count)
-        assert states.keys() == alone.keys()
-        assert [name for name in alone if not torch.equal(states[name], alone[name])] == []
+        assert_equal(states_of(count), alone)
 
 
 @pytest.mark.parametrize("changes", [{}, {"scattering": "harmonics", "harmonics_degree": 0}])
@@ -94,8 +89,7 @@ def assert_same_files(a: Path, b: Path) -> None:
     assert checkpoints == ["00000050.safetensors", "00000100.safetensors"]
     for name in checkpoints:
         (x, state), (y, other) = (load_checkpoint(run / "checkpoints" / name) for run in (a, b))
-        assert x.keys() == y.keys()
-        assert [key for key in x if not torch.equal(x[key], y[key])] == []
+        assert_equal(x, y)
         assert {**state, "seconds": 0} == {**other, "seconds": 0}
     logs = [[msgspec.structs.replace(line, seconds=0) for line in Run.load(run).history] for run in (a, b)]
     assert len(logs[0]) == 100
@@ -159,7 +153,7 @@ def test_the_default_of_torch_changes_no_bit(trained, doubles) -> None:
     torch.set_default_dtype(torch.float64)
     other = trained().snapshot.tensors
     assert {name: tensor.dtype for name, tensor in other.items()} == {n: t.dtype for n, t in usual.items()}
-    assert [name for name, tensor in usual.items() if not torch.equal(tensor, other[name])] == []
+    assert_equal(other, usual)
 
 
 # ---- views of a step a few at a time ---------------------------------------------------------------------------------

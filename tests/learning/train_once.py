@@ -17,14 +17,7 @@ from sarsplat.learning.optimiser import Optimiser
 from sarsplat.settings.sections import Densification
 
 DENSITY = Densification(
-    start=10,
-    stop=90,
-    every=10,
-    gradient=2.5e-4,
-    split_above=0.36,
-    max_extent=0.02,
-    min_scattering=0.1,
-    max_gaussians=4000,
+    10, 90, 10, gradient=2.5e-4, split_above=0.36, max_extent=0.02, min_scattering=0.1, max_gaussians=4000
 )
 
 
