@@ -13,24 +13,15 @@ import torch
 from scipy.ndimage import gaussian_filter
 
 from made import boxes, dataset_of
-from sarsplat import (
-    PRESETS,
-    Dataset,
-    ImageGrid,
-    Run,
-    SarsplatError,
-    View,
-    add_speckle,
-    reconstruct,
-    render,
-    simulate_images,
-)
+from sarsplat import PRESETS, Dataset, ImageGrid, Run, SarsplatError, View, reconstruct, render
 from sarsplat.learning import evidence, scene_frame
 from sarsplat.learning.device_choice import quicker_device
 from sarsplat.learning.evidence import chosen, differences
 from sarsplat.learning.method_sar_gs import METHOD
 from sarsplat.renderer.engines import cpu
 from sarsplat.runs import reconstruction
+from sarsplat.scenes import add_speckle
+from sarsplat.scenes.simulate import simulate_images
 
 GPU = torch.device("cuda", 0)
 

@@ -12,19 +12,7 @@ from jaxtyping import Float64
 
 from made import FEW_POINTS, boxes, dataset_of
 from made_runs import assert_same
-from sarsplat import (
-    Dataset,
-    ImageGrid,
-    Run,
-    SarImage,
-    SarsplatError,
-    Turn,
-    View,
-    add_speckle,
-    preset,
-    reconstruct,
-    simulate_images,
-)
+from sarsplat import Dataset, ImageGrid, Run, SarImage, SarsplatError, Turn, View, preset, reconstruct
 from sarsplat.data import load_checkpoint, save_checkpoint
 from sarsplat.geometry.turn import turned
 from sarsplat.learning.strategies.views import (
@@ -36,6 +24,8 @@ from sarsplat.learning.strategies.views import (
     lowest,
     uncertain_passes,
 )
+from sarsplat.scenes import add_speckle
+from sarsplat.scenes.simulate import simulate_images
 from sarsplat.settings.sections import Surroundings
 
 pytest.importorskip("embreex")

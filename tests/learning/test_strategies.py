@@ -191,32 +191,22 @@ def five() -> Gaussians:
     return upright(torch.arange(15.0), scales, [1.0, 1.0, 1.0, 1e-4, 1.0])
 
 
-def gathered(*gradient: float) -> State:
-    """Sums over two views."""
-    return State({"gradient": torch.tensor(gradient), "seen": torch.full((len(gradient),), 2.0)})
-
-
-def decided(state: State, **changes: float) -> tuple[Tensor, Tensor, Tensor]:
-    """Masks of those to prune, to clone and to split."""
+def decided(*gradient: float, **changes: float) -> list[list[bool]]:
+    """Who is pruned, cloned and split, by sums over two views."""
+    state = State({"gradient": torch.tensor(gradient), "seen": torch.full((len(gradient),), 2.0)})
     density = DensityControl(replace(CONFIG, densification=replace(CONTROL, **changes)), small_dataset())
-    return density.decide(five(), GRID, state)
+    return [mask.tolist() for mask in density.decide(five(), GRID, state)]
 
 
 def test_small_ones_are_cloned_large_ones_split_and_dark_or_huge_ones_pruned() -> None:
-    pruned, cloned, split = decided(gathered(4.0, 4.0, 1.0, 9.0, 9.0))
-    assert pruned.tolist() == [False, False, False, True, True]
-    assert cloned.tolist() == [True, False, False, False, False]
-    assert split.tolist() == [False, True, False, False, False]
-
-
-def test_room_is_given_to_the_steepest() -> None:
-    _, cloned, split = decided(gathered(8.0, 4.0, 6.0, 0.0, 0.0), max_gaussians=6)
-    assert (cloned | split).tolist() == [True, False, False, False, False]
-
-
-def test_the_last_one_is_not_pruned() -> None:
+    pruned, cloned, split = decided(4.0, 4.0, 1.0, 9.0, 9.0)
+    assert pruned == [False, False, False, True, True]
+    assert cloned == [True, False, False, False, False]
+    assert split == [False, True, False, False, False]
+    _, cloned, split = decided(8.0, 4.0, 6.0, 0.0, 0.0, max_gaussians=6)
+    assert (cloned, split) == ([True, False, False, False, False], [False] * 5)  # room is given to the steepest
     with pytest.raises(SarsplatError, match=r"would remove all Gaussians: none scatters at least 1e\+06"):
-        decided(gathered(0.0, 0.0, 0.0, 0.0, 0.0), min_scattering=1e6)
+        decided(0.0, 0.0, 0.0, 0.0, 0.0, min_scattering=1e6)
 
 
 # ---- relocation: who moves, where to, and that little of the image changes -------------------------------------------
