@@ -45,16 +45,13 @@ class Optimiser:
         """Names of the parameters with a row for each Gaussian."""
         return [name for name in self._parameters if self._learned[name].per_gaussian]
 
-    def _columns(self, name: str, numbers: tuple[float, ...] | Tensor | float) -> Float[Tensor, " k"]:
-        """A number for each column of a parameter."""
-        tensor = self._parameters[name]
-        columns = torch.as_tensor(numbers, dtype=tensor.dtype, device="cpu").to(tensor.device)
-        return columns.expand(tensor[0].numel())
-
     def _stepped(self, name: str, tensor: Tensor) -> "Stepped":
         learned = self._learned[name]
         mean, square = self.state[name].values()
-        rates, low, high = (self._columns(name, numbers) for numbers in (learned.rates, learned.low, learned.high))
+        rates, low, high = (
+            torch.as_tensor(numbers, dtype=tensor.dtype, device="cpu").to(tensor.device).expand(tensor[0].numel())
+            for numbers in (learned.rates, learned.low, learned.high)
+        )
         return Stepped(tensor, mean, square, rates, low, high, learned.logarithmic)
 
     def relearn(self, learned: Mapping[str, Learned]) -> None:
@@ -102,8 +99,8 @@ class Optimiser:
     @torch.no_grad()
     def constrain(self) -> None:
         """Clamp every parameter to its range."""
-        for name, tensor in self._parameters.items():
-            tensor.clamp_(self._columns(name, self._learned[name].low), self._columns(name, self._learned[name].high))
+        for tensor in self.stepper.tensors:
+            tensor.value.clamp_(tensor.low, tensor.high)
 
     def follow(self, source: Int64[Tensor, " n"], kept: Bool[Tensor, " n"]) -> None:
         """Re-index the moments: row k takes those of row `source`[k], or 0 where not `kept`[k] (a new Gaussian)."""
@@ -161,14 +158,14 @@ class PlainAdam:
     """Adam in plain torch, on any device, without waiting for it."""
 
     def __init__(self, tensors: Sequence[Stepped]) -> None:
-        self._tensors = tensors
+        self.tensors = tensors
 
     @torch.no_grad()
     def step(self, gradients: Sequence[Tensor], decays: Sequence[float], count: int) -> None:
         """Make step `count` (from 1) and clamp parameters to their ranges; `decays` are factors on the rates."""
         rate, spread = 1 / (1 - BETA1**count), 1 / math.sqrt(1 - BETA2**count)
         max_log_factor = math.log(_LARGEST_FACTOR)
-        for tensor, gradient, decay in zip(self._tensors, gradients, decays, strict=True):
+        for tensor, gradient, decay in zip(self.tensors, gradients, decays, strict=True):
             slope = gradient * tensor.value if tensor.logarithmic else gradient
             tensor.mean.lerp_(slope, 1 - BETA1)
             tensor.square.mul_(BETA2).addcmul_(slope, slope, value=1 - BETA2)
@@ -182,7 +179,7 @@ class EngineAdam:
     """Adam by an engine, which writes the parameters' memory in place."""
 
     def __init__(self, new_pass: NewPass, tensors: Sequence[Stepped]) -> None:
-        self._new_pass, self._tensors = new_pass, tensors  # kept alive: the engine has their addresses only
+        self._new_pass, self.tensors = new_pass, tensors  # kept alive: the engine has their addresses only
         constants = {"count": len(tensors), "beta1": BETA1, "beta2": BETA2, "epsilon": EPSILON}
         self._call = filled(api.adam_step, constants | {"groups": [_group(tensor) for tensor in tensors]})
         self._groups = self._call.groups[: len(tensors)]
@@ -209,7 +206,7 @@ class EngineAdam:
 
     def mark_changed(self) -> None:
         """Notify autograd of the in-place changes, so that a backward pass with old values raises."""
-        torch.autograd.graph.increment_version([tensor.value for tensor in self._tensors])
+        torch.autograd.graph.increment_version([tensor.value for tensor in self.tensors])
 
 
 def powers(count: int) -> tuple[float, float]:

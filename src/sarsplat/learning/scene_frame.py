@@ -74,8 +74,6 @@ class Levels:
 
     coarsest: int
     """Factor of the first level, a power of two."""
-    grid: ImageGrid
-    """Grid at full resolution."""
     iterations: int
 
     @classmethod
@@ -86,7 +84,7 @@ class Levels:
         coarsest = min(config.coarsest, grid.rows, grid.columns)
         while 2 * factor <= coarsest and across_m >= _MIN_ACROSS * grid.multilooked(2 * factor).cell_m:
             factor *= 2
-        return cls(factor, grid, config.iterations)
+        return cls(factor, config.iterations)
 
     @property
     def _begins(self) -> list[int]:

@@ -185,7 +185,7 @@ class Target(Part):
     @property
     def _coarsest(self) -> ImageGrid:
         """Grid of the first level's images."""
-        return self._levels.grid.multilooked(self._levels.coarsest)
+        return self.frame.grid.multilooked(self._levels.coarsest)
 
     @cached_property
     def _law(self) -> Scattering:
