@@ -30,7 +30,7 @@ from sarsplat.learning.strategies.views import AZIMUTH_OFFSETS, TURN_CORRECTIONS
 from sarsplat.learning.trainer import Trainer
 from sarsplat.names import Speckle
 from sarsplat.regions.target_region import spans
-from sarsplat.renderer import GroundBounce, attenuate, channel_of, project
+from sarsplat.renderer import GroundBounce, attenuate, project
 from sarsplat.renderer.covariances import stacks_of
 from sarsplat.settings.config import DEFAULT_METHOD, OWN_LOOP, Config
 from sarsplat.settings.presets import preset
@@ -133,12 +133,7 @@ class GaussianReconstruction(Reconstruction):
 
     def render(self, views: Sequence[View], grid: ImageGrid | None = None) -> Float32[np.ndarray, "v rows columns"]:
         grid = grid or self.grid
-        rays = self._rays(grid)
-        images, done = np.empty((len(views), grid.rows, grid.columns), np.float32), 0
-        for batch in self.model.unseen(views, grid, self._degree, rays):
-            images[done : done + len(batch)] = channel_of(batch, self.model.power_channel).cpu().numpy()
-            done += len(batch)
-        return images
+        return self.model.unseen(views, grid, self._degree, self._rays(grid))
 
     def covariances(
         self, views: Sequence[View], stack: Stack | Sequence[Stack], grid: ImageGrid | None = None

@@ -1,13 +1,13 @@
 """The scene model: a list of parts with parameters, which make a scene and render its images."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int64
+from jaxtyping import Bool, Float, Float32, Int64
 from torch import Tensor
 
 from sarsplat.data import Dataset
@@ -24,7 +24,7 @@ from sarsplat.learning.scene_frame import Levels, SceneFrame
 from sarsplat.learning.snapshot import Snapshot, fitting
 from sarsplat.learning.stack_loss import ExpectedStacks
 from sarsplat.regions.target_region import cut_off, levelled
-from sarsplat.renderer import Bounds, Rendering, render
+from sarsplat.renderer import Bounds, Rendering, channel_of, render
 from sarsplat.renderer.covariances import lit_planes
 from sarsplat.renderer.echoes import Echo
 from sarsplat.settings.config import Config
@@ -256,24 +256,25 @@ class SceneModel:
         phases = [phases for part in self.parts if (phases := part.phases(shot, self.parameters)) is not None]
         return ExpectedStacks(planes, noise[0] if noise else None, phases[0] if phases else None), rendering
 
+    @torch.no_grad()
     def unseen(
         self, views: Sequence[View], grid: ImageGrid, degree: int, rays: RayGrid
-    ) -> Iterator[Float[Tensor, "k c {grid.rows} {grid.columns}"]]:
-        """Yield batches of images of unseen views, without gradients; images too large for memory by tiles."""
-        with torch.no_grad():
-            scene, ground = self.target(degree), self.ground()
-            size = -(-min(at_once(scene, views, grid, rays), _MAX_BATCH) // self.scenes_rendered)
-            for first in range(0, len(views), max(size, 1)):
-                batch = views[first : first + max(size, 1)]
-                if size:
-                    yield self.render(batch, grid, degree, rays=rays)[0]
-                    continue
+    ) -> Float32[np.ndarray, "v {grid.rows} {grid.columns}"]:
+        """β⁰ of unseen views, rendered in batches; images too large for memory by tiles."""
+        scene, images = self.target(degree), np.empty((len(views), grid.rows, grid.columns), np.float32)
+        size = -(-min(at_once(scene, views, grid, rays), _MAX_BATCH) // self.scenes_rendered)
+        for first in range(0, len(views), max(size, 1)):
+            batch = slice(first, first + max(size, 1))
+            if size:
+                rendered, _ = self.render(views[batch], grid, degree, rays=rays)
+            else:
                 self._refuse_echoes("an image that is rendered by tiles")
-                shot = self.shot(batch, grid)
+                shot = self.shot(views[batch], grid)
                 shift = None if shot.shift is None else shot.shift[0]
-                yield self.developed(
-                    render_tiled(scene, batch[0], shot.grid, rays=rays, shift=shift, ground=ground)[None], shot
-                )
+                image = render_tiled(scene, views[first], shot.grid, rays=rays, shift=shift, ground=self.ground())
+                rendered = self.developed(image[None], shot)
+            images[batch] = channel_of(rendered, self.power_channel).cpu().numpy()
+        return images
 
     def developed(
         self, images: Float[Tensor, "v c h w"], shot: Shot, estimated: bool = True

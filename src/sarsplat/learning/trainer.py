@@ -260,16 +260,10 @@ class Trainer:
         """Learning rates of the next step by parameter, of the first column; those of means and shifts are in m."""
         return self.optimiser.rates(self.iteration)
 
-    @torch.no_grad()
     @checks_arguments
     def rendered(self, views: Sequence[View]) -> Float32[np.ndarray, "v rows columns"]:
         """Render β⁰ of any views, linear power, with the rays of the training."""
-        degree, count, power = self.model.degree(self.iteration), self.config.views_per_step, self.model.power_channel
-        batches = (views[first : first + count] for first in range(0, len(views), count))  # a step fits into memory
-        images = [
-            self.model.render(batch, self.grid, degree, rays=self._rays)[0][:, power].cpu().numpy() for batch in batches
-        ]
-        return np.concatenate(images or [np.empty((0, self.grid.rows, self.grid.columns), np.float32)])
+        return self.model.unseen(views, self.grid, self.model.degree(self.iteration), self._rays)
 
     @property
     def gaussian_count(self) -> int:

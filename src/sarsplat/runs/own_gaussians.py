@@ -18,7 +18,6 @@ from sarsplat.learning.model import SceneModel
 from sarsplat.learning.parts.target import law
 from sarsplat.learning.scene_frame import SceneFrame
 from sarsplat.learning.snapshot import Snapshot
-from sarsplat.renderer import channel_of
 from sarsplat.settings.config import OWN_LOOP, Config
 from sarsplat.tiles import at_once
 
@@ -136,7 +135,6 @@ def own_scene(
     if brightest is None:
         rays = RayGrid.for_image(grid)
         bright_views = views if at_once(own, views[:1], grid, rays) else views[:1]  # of a scene rendered by tiles
-        images = (image for view in bright_views for image in model.unseen([view], grid, _DEGREES[0], rays))
-        brightest = max(float(channel_of(image, model.power_channel).max()) for image in images)
+        brightest = max(float(model.unseen([view], grid, _DEGREES[0], rays).max()) for view in bright_views)
     brightest = max(brightest, torch.finfo(torch.float32).tiny)
     return config, Snapshot(config.iterations, time_s, (), grid, views, 1.0, brightest, model.tensors())
