@@ -172,7 +172,7 @@ SPUN = ImageGrid(36, 36, (0.3, 0.3), (0.3, 0.3))
 SIGHT = np.array([1.0, 0.4, 0.6])
 TRUE_AXES = (np.array([0.0, 0.1, 1.0]), np.array([1.0, 0.2, 0.1]))
 TILTS_DEG, FASTER = (3.0, -2.5), (0.03, -0.03)
-FRAMES = 12
+FRAMES = 9
 SPINNING = replace(preset("quick"), iterations=120, gaussians=600, points=FEW_POINTS, checkpoint_every=61)
 
 
