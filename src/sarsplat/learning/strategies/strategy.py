@@ -197,7 +197,7 @@ class Configured(Strategy):
     """Field of `Config` with its settings, None in a training without this strategy."""
 
     def __init__(self, config: Config, train: Dataset) -> None:
-        self.config, self.train = config, train
+        self.config = config
         self.settings: Any = getattr(config, self.section, None)
 
     @classmethod

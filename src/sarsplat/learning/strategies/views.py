@@ -39,6 +39,7 @@ class AzimuthRefinement(Configured):
 
     def __init__(self, config: Config, train: Dataset) -> None:
         super().__init__(config, train)
+        self._labelled = train.views
         self._std_deg = np.array([entry.azimuth_std_deg for entry in train.entries])
 
     @classmethod
@@ -47,7 +48,7 @@ class AzimuthRefinement(Configured):
 
     def initial_state(self, params: Params) -> State:
         """Azimuth corrections, zero at first, degrees."""
-        return State(whole={"offset_deg": torch.zeros(len(self.train), dtype=torch.float64, device="cpu")})
+        return State(whole={"offset_deg": torch.zeros(len(self._labelled), dtype=torch.float64, device="cpu")})
 
     def due(self, step: int) -> bool:
         s, iterations = self.settings, self.config.iterations
@@ -65,7 +66,7 @@ class AzimuthRefinement(Configured):
 
     def views(self, offset_deg: Float64[np.ndarray, " k"]) -> tuple[View, ...]:
         """Training views with these offsets, degrees, where the azimuth is uncertain."""
-        known = zip(self.train.views, offset_deg.tolist(), self._std_deg.tolist(), strict=True)
+        known = zip(self._labelled, offset_deg.tolist(), self._std_deg.tolist(), strict=True)
         return tuple(_turned(view, offset) if std else view for view, offset, std in known)
 
     def most_likely(self, nats: NegativeLogLikelihood) -> Float64[np.ndarray, " k"]:
@@ -78,7 +79,7 @@ class AzimuthRefinement(Configured):
         std = self._std_deg[uncertain]
         tried = std[:, None] * np.linspace(-_AZIMUTH_REACH, _AZIMUTH_REACH, 2 * _EACH_WAY + 1)
         views = [
-            _turned(self.train.views[k], offset)
+            _turned(self._labelled[k], offset)
             for k, row in zip(uncertain, tried.tolist(), strict=True)
             for offset in row
         ]
@@ -133,7 +134,7 @@ class TurnRefinement(Configured):
 
     def __init__(self, config: Config, train: Dataset) -> None:
         super().__init__(config, train)
-        self._passes = uncertain_passes(train)
+        self._entries, self._passes = train.entries, uncertain_passes(train)
         self._pass = np.array([-1 if (k := _number(self._passes, one)) is None else k for one in train.entries])
 
     @classmethod
@@ -161,7 +162,7 @@ class TurnRefinement(Configured):
         radius_m = float(params["means"].detach().square().sum(1).max().sqrt())
         correction = self.stepped(state.whole["correction"].numpy(), differences, samples, grid.cell_m / radius_m)
         state.whole["correction"] = torch.from_numpy(correction)
-        info.images.views = corrected_views(self.train.entries, self._passes, correction)
+        info.images.views = corrected_views(self._entries, self._passes, correction)
 
     def stepped(
         self,
@@ -178,7 +179,7 @@ class TurnRefinement(Configured):
         changed = correction.copy()
         for number, turn in enumerate(self._passes):
             frames = np.flatnonzero(self._pass == number)
-            own = Pass(turn, [self.train.entries[k] for k in frames], frames, differences, samples[frames])
+            own = Pass(turn, [self._entries[k] for k in frames], frames, differences, samples[frames])
             changed[number] = own.stepped(correction[number], cell_rad)
         return changed
 
