@@ -73,7 +73,20 @@ class SarImage:
     @classmethod
     @checks_arguments
     def of_complex(cls, signal: Complex[np.ndarray, "rows columns"], view: View, grid: ImageGrid) -> Self:
-        """Make an image that keeps its phase, from its complex amplitude √β⁰·e^jψ; errors as for `SarImage`."""
+        """Make an image that keeps its phase.
+
+        Parameters
+        ----------
+        signal : numpy.ndarray, complex [rows, columns]
+            Complex amplitude √β⁰·e^jψ, row 0 near range.
+        view, grid
+            See `SarImage`.
+
+        Raises
+        ------
+        SarsplatError
+            As for `SarImage`.
+        """
         signal = as_signal(signal, "the image")
         return cls(power_of(signal), view, grid, signal)
 
@@ -90,9 +103,18 @@ class SarImage:
     def save(self, path: str | Path, *, dynamic_range_db: float = DYNAMIC_RANGE_DB) -> None:
         """Write its picture as PNG, whole or not at all: decibels in grey, axes in metres, a colour bar.
 
-        `dynamic_range_db` is the distance of black from white (`radiometry.white_level`), dB. An existing file is
-        replaced. (`sarsplat.data.write_tiff` and datasets store numbers.) Raise SarsplatError if matplotlib is not
-        installed, the name does not end in `.png`, or the file cannot be written.
+        Parameters
+        ----------
+        path : str or Path
+            File to write; it must end in `.png`, and is replaced if it exists. `sarsplat.data.write_tiff` and datasets
+            store numbers.
+        dynamic_range_db : float
+            Distance of black from white (`radiometry.white_level`), dB.
+
+        Raises
+        ------
+        SarsplatError
+            If matplotlib is not installed, the name does not end in `.png`, or the file cannot be written.
         """
         path = Path(path)
         if path.suffix.lower() != ".png":
@@ -101,7 +123,13 @@ class SarImage:
 
     @checks_arguments
     def show(self, *, dynamic_range_db: float = DYNAMIC_RANGE_DB) -> None:
-        """Open a window with the picture, or show it in a notebook; raise if matplotlib is not installed."""
+        """Open a window with the picture, or show it in a notebook.
+
+        Raises
+        ------
+        SarsplatError
+            If matplotlib is not installed.
+        """
         with needed("report", "a picture"):
             from matplotlib import pyplot
         self._draw(pyplot.figure(), dynamic_range_db)

@@ -71,11 +71,24 @@ SPLAT = np.dtype([("position", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4)
 def write_gaussians_ply(
     path: str | Path, gaussians: Gaussians, comments: Iterable[str] = (), *, colour: Colour = "db"
 ) -> None:
-    """Write Gaussians as float32, whole or not at all; an existing file is replaced.
+    """Write Gaussians, whole or not at all.
 
-    `comments` are lines for the header; `colour` is the quantity that viewers show, γ⁰ in decibels or the height, and
-    does not affect reading the file. Raise SarsplatError if a value is not finite or outside its range, the scattering
-    law is not registered, or the file cannot be written.
+    Parameters
+    ----------
+    path : str or Path
+        File to write; an existing one is replaced.
+    gaussians : Gaussians
+        Stored as float32.
+    comments : iterable of str
+        Lines for the header.
+    colour : "db" or "height"
+        Quantity that viewers show: γ⁰ in decibels, or the height. It does not affect reading the file.
+
+    Raises
+    ------
+    SarsplatError
+        If a value is not finite or outside its range, the scattering law is not registered, or the file cannot be
+        written.
     """
     law = _stated(gaussians.scattering)
     values = {name: t.detach().cpu().numpy().astype(np.float32) for name, t in gaussians.tensors().items()}
@@ -107,7 +120,12 @@ def read_gaussians_ply(path: str | Path) -> Gaussians:
     In files of 3DGS programs, κ = −ln(1 − opacity), the harmonics are the mean over the three colours, and p_min is 0;
     a property filter_3D (Mip-Splatting) widens Gaussians and lowers their opacity.
     A `.splat` file has one colour per Gaussian, a `.glb` (KHR_gaussian_splatting) harmonics: in sarsplat's exports
-    shades of grey for decibels. Gaussians are float32, on the CPU.
+    shades of grey for decibels.
+
+    Returns
+    -------
+    Gaussians
+        float32, on the CPU.
 
     Raises
     ------

@@ -47,7 +47,18 @@ def rotated_average(
     """Predict each view by averaging training chips, smoothed by a 5×5 mean and rotated in the ground plane.
 
     The weights are a Gaussian of the azimuth difference with σ = 0.4·360°/K. Targets and shadows are treated as flat.
-    Parameters and returns as in `nearest_chip`; `grid` holds the pixels of all chips.
+
+    Parameters
+    ----------
+    train, train_views, views :
+        As in `nearest_chip`.
+    grid : ImageGrid
+        Pixels of all chips.
+
+    Returns
+    -------
+    numpy.ndarray, float64 [V, rows, columns]
+        Predicted mean power.
     """
     smooth, turns = smoothed(train, 5, 5), _turn_deg(train_views, views)
     weights = np.exp(-0.5 * (turns / (_KERNEL * 360 / len(train))) ** 2)

@@ -182,8 +182,16 @@ def register(truth: Stack, rendered: Stack, margin: int = 0) -> Registration:
     """Shift and scale predictions to the maximum likelihood of their chips.
 
     Shifts are up to three pixels each way (rolled on the full chip, then the margin is cut off); the best gain is
-    g = mean(I / S), with which log gS + I / (gS) has the mean log g + mean(log S) + 1. Parameters as in
-    `nats_per_pixel`, but powers in any unit.
+    g = mean(I / S), with which log gS + I / (gS) has the mean log g + mean(log S) + 1.
+
+    Parameters
+    ----------
+    truth : numpy.ndarray, float [V, rows, columns]
+        Measured power I, speckle and all.
+    rendered : numpy.ndarray, float [V, rows, columns]
+        Predicted mean power S > 0, in any unit.
+    margin : int
+        Pixels excluded on each side.
 
     Raises
     ------

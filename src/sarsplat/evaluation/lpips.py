@@ -88,7 +88,14 @@ class Lpips:
 def lpips(truth: Stack, rendered: Stack, reference_amplitude: float, network: Lpips) -> float:
     """Mean LPIPS of a set: amplitude / reference_amplitude moved from [0, 1] to [−1, 1], grey three times, no clip.
 
-    Parameters as in `psnr_db`; `network` holds the loaded weights.
+    Parameters
+    ----------
+    truth, rendered : numpy.ndarray, float [V, rows, columns]
+        β⁰, linear power.
+    reference_amplitude : float
+        The largest amplitude √β⁰ of the *training* set.
+    network : Lpips
+        The loaded weights.
     """
     grey = (normalised_amplitude(power, reference_amplitude) * 2 - 1 for power in (truth, rendered))
     first, second = (torch.from_numpy(image)[:, None].expand(-1, 3, -1, -1) for image in grey)

@@ -57,7 +57,15 @@ class Match:
 
 
 class Matcher:
-    """Templates of Q runs: linear power > 0 at A evenly spaced azimuths from 0, in the window with its margins."""
+    """Templates of Q runs, prepared for matching.
+
+    Parameters
+    ----------
+    power : sequence of numpy.ndarray, float32 [A, m, n]
+        Linear power > 0 of each run at A evenly spaced azimuths from 0, in the window with its margins.
+    window : Window
+        The window.
+    """
 
     def __init__(self, power: Sequence[Float32[np.ndarray, "a m n"]], window: Window) -> None:
         self._window, self._runs, self._azimuths = window, len(power), len(power[0])

@@ -49,13 +49,19 @@ _TABLE = ("import with", "shadow beyond", "bright edge", "layover", "neighbours 
 def examine(dataset: Dataset) -> Examination:
     """Check whether the images of a dataset contradict its metadata.
 
-    Contradictions are angles in radians; constant or duplicate images; pixels and lines that are too bright for echoes
-    or clipped; images of different scales; geocoded images; near range that is not row 0; azimuths in the opposite
-    sense, or mirrored images; incidence for grazing angles; ground in images declared to have none; values that are
-    not power; another number of looks; another resolution. Images do not determine the zero of the azimuth.
+    Parameters
+    ----------
+    dataset : Dataset
+        At most 120 images, evenly chosen, are examined, of stacks their first channel; all images for duplicates,
+        constant images and other units.
 
-    At most 120 images, evenly chosen, are examined, of stacks their first channel; all images for duplicates, constant
-    images and other units.
+    Returns
+    -------
+    Examination
+        Contradictions: angles in radians; constant or duplicate images; pixels and lines that are too bright for echoes
+        or clipped; images of different scales; geocoded images; near range that is not row 0; azimuths in the opposite
+        sense, or mirrored images; incidence for grazing angles; ground in images declared to have none; values that are
+        not power; another number of looks; another resolution. Images do not determine the zero of the azimuth.
     """
     examined = Examination()
     columns = dataset.source.get("columns")

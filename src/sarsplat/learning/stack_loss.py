@@ -38,6 +38,11 @@ def stack_nats(
         Power of each pass's noise, β⁰, which is added to the diagonal; positive. In float32, gradients are good to
         2·10⁻⁴ at 30 dB below the brightest pixel, and there is no solution at 70 dB below.
 
+    Returns
+    -------
+    Tensor []
+        Nats per pixel.
+
     Raises
     ------
     SarsplatError

@@ -70,7 +70,19 @@ def compare(runs: Sequence[Run]) -> Comparison:
 def write_comparison(comparison: Comparison, out: Path, *, overwrite: bool = False) -> Path:
     """Write the comparison as one page that needs no network, `OUT/comparison.html`, and return its path.
 
-    Raise if the dataset of a run is missing, or the folder `out` exists and `overwrite` does not allow to replace it.
+    Parameters
+    ----------
+    comparison : Comparison
+        Result of `compare`.
+    out : Path
+        Folder to make.
+    overwrite : bool
+        Replace an existing comparison.
+
+    Raises
+    ------
+    SarsplatError
+        If the dataset of a run is missing, or `out` exists and may not be replaced.
     """
     definitions: dict[str, str] = {}
     for run in comparison.runs:

@@ -252,7 +252,15 @@ class Look:
 
 
 def decibel_png(power: Real[np.ndarray, "rows columns"], look: Look) -> bytes:
-    """Encode β⁰ (linear power) as an 8-bit PNG, pixel for pixel, grey or with a palette."""
+    """One image as an 8-bit PNG, pixel for pixel, grey or with a palette.
+
+    Parameters
+    ----------
+    power : numpy.ndarray, float [rows, columns]
+        β⁰, linear power.
+    look : Look
+        Which power is white, and which is black.
+    """
     from PIL import Image, PngImagePlugin
 
     low, high = ("black", "white") if look.cmap == POWER else ("lower end", "upper end")

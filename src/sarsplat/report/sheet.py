@@ -41,9 +41,25 @@ _PLATE: dict[str, Any] = {"facecolor": DARK.card, "edgecolor": "none", "alpha": 
 def contact_sheet(
     images: Real[np.ndarray, "v {grid.rows} {grid.columns}"], views: Sequence[View], grid: ImageGrid, look: Look
 ) -> bytes:
-    """Draw images of β⁰ (linear power) in decibels, cropped to the target, with view, scale and radar, as PNG.
+    """Draw all images in decibels, cropped to the target, with view, scale and radar, as PNG.
 
-    At most 96 images are shown, evenly spaced in their order; the sheet says so. Raise without any image.
+    Parameters
+    ----------
+    images : numpy.ndarray, float [V, rows, columns]
+        β⁰, linear power.
+    views, grid
+        Of the images.
+    look : Look
+        Levels and colours, as of the single pictures.
+
+    Raises
+    ------
+    SarsplatError
+        If there are no images.
+
+    Notes
+    -----
+    At most 96 images are shown, evenly spaced in their order; the sheet says so.
     """
     if len(images) == 0:
         raise SarsplatError("there are no images to put on a contact sheet; give at least one")

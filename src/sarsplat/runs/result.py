@@ -93,10 +93,29 @@ class Result:
 
     @checks_arguments
     def render(self, views: Sequence[View], grid: ImageGrid | None = None) -> Float32[np.ndarray, "v rows columns"]:
-        """Render images from any views: β⁰, linear power.
+        """Render images from any views.
 
-        `grid` has pixels and resolution; by default it is the run's, and methods other than `sar-gs` reject others.
-        Warn if it is finer than the training images.
+        Parameters
+        ----------
+        views : sequence of View
+            V views.
+        grid : ImageGrid, optional
+            Pixels and resolution; by default the run's, the only one of methods other than `sar-gs`.
+
+        Returns
+        -------
+        numpy.ndarray, float32 [V, rows, columns]
+            β⁰, linear power.
+
+        Raises
+        ------
+        SarsplatError
+            If the method cannot render on that grid.
+
+        Warns
+        -----
+        SarsplatWarning
+            If the grid is finer than the training images.
         """
         return self.reconstruction.render(views, grid)
 
@@ -113,7 +132,7 @@ class Result:
         stack : Stack or sequence of Stack
             P passes around all views, or one stack for each view; any, not only the training stacks.
         grid : ImageGrid, optional
-            Pixels and resolution, as for `render`; by default the run's.
+            Pixels and resolution; by default the run's.
 
         Returns
         -------
@@ -126,6 +145,11 @@ class Result:
         SarsplatError
             If the run was not trained on interferometric stacks, there are no views, or stacks differ from the views
             in number, from each other in passes, or from the training in polarisations.
+
+        Warns
+        -----
+        SarsplatWarning
+            As `render`.
         """
         return self.reconstruction.covariances(views, stack, grid)
 
@@ -133,10 +157,22 @@ class Result:
     def covariance_within(self, box: Box) -> Complex128[np.ndarray, "p p"]:
         """Return the polarimetric covariance of the Gaussians in a box, averaged over the training views.
 
-        It is E[y_i y_j*], m², in the order of the scattering's `polarisations`; the diagonal has radar cross-sections.
-        `box` is its lower and upper corner, m. Gaussians share pixels, so that only sums are determined: use boxes
-        larger than a resolution cell. Raise SarsplatError if the run was not trained on several polarisations, or no
-        Gaussian lies in the box.
+        Gaussians share pixels, so that only sums are determined: use boxes larger than a resolution cell.
+
+        Parameters
+        ----------
+        box : pair of (x, y, z)
+            Lower and upper corner, m.
+
+        Returns
+        -------
+        numpy.ndarray, complex128 [P, P]
+            E[y_i y_j*], m², in the order of the scattering's `polarisations`; the diagonal has radar cross-sections.
+
+        Raises
+        ------
+        SarsplatError
+            If the run was not trained on several polarisations, or no Gaussian lies in the box.
         """
         return self.reconstruction.covariance_within(box)
 

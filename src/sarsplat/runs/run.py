@@ -140,9 +140,20 @@ class Run(Result):
     def load(cls, path: str | Path, device: str = "cpu", dataset: Dataset | None = None) -> "Run":
         """Read a run's folder.
 
-        `device` renders: "cpu", "cuda", or "auto" for the best available. `dataset` is its dataset, if that was in
-        memory or has moved. Raise SarsplatError if the folder is missing or not a run of this version, method or device
-        are unavailable, or it was made from another dataset.
+        Parameters
+        ----------
+        path : str or Path
+            The folder.
+        device : {"auto", "cpu", "cuda"}
+            Device that renders; "auto" is the best available.
+        dataset : Dataset, optional
+            Its dataset, if that was in memory or has moved.
+
+        Raises
+        ------
+        SarsplatError
+            If it is missing or not a run of this version, method or device are unavailable, or it was made from another
+            dataset.
         """
         path = Path(path)
         header = read_header(path)
@@ -215,11 +226,28 @@ class Run(Result):
 
     @checks_arguments
     def save(self, path: str | Path, *, overwrite: bool = False, quiet: bool = False) -> "Run":
-        """Write the run with its scores to a folder, for every command, and return the run there; it can be resumed.
+        """Write the run with its scores to a folder, for every command.
 
-        The folder appears when complete; with `overwrite` it replaces an existing run. Points that exist, in its folder
-        or in memory, are not extracted again; their extraction may take longer than the training, and `quiet` hides its
-        progress. Raise SarsplatError if the folder exists, another process is writing it, or the disk is full.
+        Points that exist, in its folder or in memory, are not extracted again.
+
+        Parameters
+        ----------
+        path : str or Path
+            The folder; it appears when complete.
+        overwrite : bool
+            Replace an existing run.
+        quiet : bool
+            Show no progress of the extraction of points, which may take longer than the training.
+
+        Returns
+        -------
+        Run
+            The run in that folder; it can be resumed.
+
+        Raises
+        ------
+        SarsplatError
+            If the folder exists, another process is writing it, or the disk is full.
         """
         path = Path(path)
         if overwrite:
