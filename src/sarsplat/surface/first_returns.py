@@ -83,14 +83,11 @@ class FirstReturns:
 
     def points(self, terrain: Terrain | None, lowest_m: float) -> Iterator[Float64[Tensor, "p 3"]]:
         """Returns of each view, world frame, m, that are at least `lowest_m` above the terrain."""
-        sizes, rays, block = self._sizes, 0, list[int]()
-        ranges = self.range_m.split(sizes)
-        for view, size in enumerate(sizes):
-            if block and rays + size > _AT_ONCE:
-                yield from self._points_of(block, ranges, terrain, lowest_m)
-                block, rays = [], 0
-            block, rays = [*block, view], rays + size
-        yield from self._points_of(block, ranges, terrain, lowest_m)
+        ranges = self.range_m.split(self._sizes)
+        count = max(1, _AT_ONCE // max(self._sizes))
+        for first in range(0, len(ranges), count):
+            block = range(first, min(first + count, len(ranges)))
+            yield from self._points_of(block, ranges, terrain, lowest_m)
 
     def _points_of(
         self, views: Sequence[int], ranges: Sequence[Tensor], terrain: Terrain | None, lowest_m: float
@@ -239,7 +236,8 @@ class OfView:
 
     def beyond(self, points: Float64[np.ndarray, "p 3"]) -> Float64[np.ndarray, " p"]:
         """Distance from each point back to the first return of its ray, m, [P]; infinite if the ray meets nothing."""
-        across, along, away = (self._sum(points, axis) for axis in self.frame)
+        # without a matrix product, whose rounding may depend on the number of points
+        across, along, away = (points[:, 0] * x + points[:, 1] * y + points[:, 2] * z for x, y, z in self.frame)
         rows, columns = self.range_m.shape
         for places, step, first, count in zip(
             (across, along), self.spacing_m, self.first, (columns, rows), strict=True
@@ -252,11 +250,3 @@ class OfView:
         along *= columns
         along += across
         return np.subtract(self.range_m.ravel()[along.astype(np.int64)], away, out=away)
-
-    @staticmethod
-    def _sum(points: Float64[np.ndarray, "p 3"], axis: Float64[np.ndarray, " 3"]) -> Float64[np.ndarray, " p"]:
-        """Coordinate along an axis, m; a matrix product's rounding may depend on the number of points."""
-        total = points[:, 0] * axis[0]
-        total += points[:, 1] * axis[1]
-        total += points[:, 2] * axis[2]
-        return total
