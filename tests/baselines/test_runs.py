@@ -171,6 +171,7 @@ def test_a_method_is_not_taken_for_another(small_box, tmp_path, run_of):
         ("scene/looks", lambda tensor: tensor - 1),
         ("scene/low_m", None),
         ("scene/masks", lambda tensor: tensor.float()),
+        ("scene/masks", lambda tensor: tensor[1:]),
     ],
 )
 def test_a_damaged_checkpoint_is_refused_before_anything_is_lost(name, change, small_box, tmp_path, run_of):
@@ -282,9 +283,7 @@ def rendered(corner: float) -> object:
         (lambda: replace(SCENE, high_m=LOW), "is empty or not finite"),
         (lambda: replace(SCENE, low_m=np.array([np.nan, 0, 0])), "is empty or not finite"),
         (lambda: masked(None), "but masks is None; give their folder"),
-        (lambda: masked(np.zeros((3, 24, 20), np.uint8)), "the masks are of shape"),
         (lambda: masked(np.zeros((2, 24, 20), np.uint8)), "no mask shows the target"),
-        (lambda: masked(np.full((2, 24, 20), 3, np.uint8)), "a mask holds the number 3"),
         (lambda: replace(DsrConfig(), vertices=641), "vertices is 641; it must be one of 642, 1352"),
         (lambda: replace(DsrConfig(), betas=(0.5, 1.5)), r"it must be 2 values, each a number from 0 to 0\.9999"),
         (in_the_sky, "appears in none of the 1 training images; give the box"),

@@ -152,13 +152,6 @@ def _checked_masks(scene: Scene) -> Tensor:
             "DSR learns from masks of the lit target and of its shadow, but masks is None; give their folder "
             "(`sarsplat simulate --masks` makes one), or choose another method"
         )
-    expected = (len(scene.views), scene.grid.rows, scene.grid.columns)
-    if scene.masks.shape != expected:
-        raise SarsplatError(
-            f"the masks are of shape {scene.masks.shape}, the training images {expected}; give one each"
-        )
-    if scene.masks.max() > SHADOW:
-        raise SarsplatError(f"a mask holds the number {scene.masks.max()}; masks are 0 clutter, 1 target and 2 shadow")
     if not (scene.masks == TARGET).any():
         raise SarsplatError("no mask shows the target (1), so DSR has nothing to learn from; give masks that do")
     return torch.from_numpy(scene.masks.copy())

@@ -12,7 +12,7 @@ from sarsplat.data import Dataset, Masks
 from sarsplat.errors import SarsplatError
 from sarsplat.geometry import View
 from sarsplat.learning.method import Trainable
-from sarsplat.learning.snapshot import Snapshot
+from sarsplat.learning.snapshot import Snapshot, fitting
 from sarsplat.learning.training_images import ViewQueue
 from sarsplat.radiometry import from_db, usual_peak
 from sarsplat.regions.target_region import target_region
@@ -129,13 +129,12 @@ def _brightest(train: Dataset) -> float:
 
 def saved_scene(snapshot: Snapshot) -> Scene:
     """`Scene` of a snapshot."""
-    saved = snapshot.part("scene")
-    masks = saved["masks"].numpy() if "masks" in saved else None
-    if masks is not None and masks.dtype != np.uint8:
-        raise ValueError(f"masks of {masks.dtype} instead of uint8")
+    saved, grid, masks = snapshot.part("scene"), snapshot.grid, None
+    if "masks" in saved:
+        masks = fitting(saved, "masks", torch.uint8, (len(snapshot.views), grid.rows, grid.columns)).numpy()
     return Scene(
         snapshot.views,
-        snapshot.grid,
+        grid,
         saved["low_m"].double().numpy(),
         saved["high_m"].double().numpy(),
         snapshot.unit,
