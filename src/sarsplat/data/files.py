@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import json
 import os
 import re
@@ -174,6 +175,12 @@ def open_file(path: Path) -> Iterator[BinaryIO]:
                 yield file
         except MemoryError as error:
             raise SarsplatError(f"cannot read {path}: it does not fit into memory; give a smaller file") from error
+
+
+def sha256_of(path: Path) -> str:
+    """Return the SHA-256 of a file's content, hexadecimal."""
+    with open_file(path) as file:
+        return hashlib.sha256(file.read()).hexdigest()
 
 
 def read_json(path: Path, type: type[T]) -> T:

@@ -1,6 +1,5 @@
 """Score a run: all contents of `metrics.json`."""
 
-import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
@@ -13,7 +12,7 @@ from jaxtyping import Float, Float64
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data import Dataset, Mask, read_masks
-from sarsplat.data.files import open_file
+from sarsplat.data.files import sha256_of
 from sarsplat.data.folders import only_writer
 from sarsplat.errors import SarsplatError
 from sarsplat.evaluation.azimuths import azimuth_errors
@@ -129,12 +128,7 @@ def _same_truth(before: Mapping[str, Any], dataset: Dataset) -> bool:
         return False
     truth = before.get("truth", {})
     mesh = Path(truth["mesh"]) if truth.get("mesh") else dataset.truth_mesh
-    return mesh is not None and mesh.is_file() and truth.get("sha256") == _sha256(mesh)
-
-
-def _sha256(file: Path) -> str:
-    with open_file(file) as opened:
-        return hashlib.sha256(opened.read()).hexdigest()
+    return mesh is not None and mesh.is_file() and truth.get("sha256") == sha256_of(mesh)
 
 
 def _of_points(before: Mapping[str, Any], reasons: dict[str, str]) -> dict[str, Any]:
@@ -314,7 +308,7 @@ def _surfaces(
         normals["points"] = run.normals
         clouds["mesh"], normals["mesh"], lacks["mesh"] = _points_on_mesh(run)
         shown.advance(_MESH, "surface: mesh")
-        truth["sha256"] = _sha256(dataset.truth_mesh)
+        truth["sha256"] = sha256_of(dataset.truth_mesh)
         views = dataset.select("train").views
         stacks = dataset.interferometric or dataset.polarimetric
         surface = visible_surface(

@@ -4,7 +4,6 @@ An unfinished set with the same settings is resumed.
 """
 
 import ctypes
-import hashlib
 import io
 import json
 import math
@@ -25,7 +24,7 @@ from torch.utils.data import DataLoader, Dataset
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data import new_folder, write_bytes
-from sarsplat.data.files import encode_json, open_file, read_versioned_json
+from sarsplat.data.files import encode_json, read_versioned_json, sha256_of
 from sarsplat.errors import SarsplatError, shown
 from sarsplat.extras import program_version
 from sarsplat.learning.sampler import LEARNED, UNIFORM
@@ -311,7 +310,7 @@ class Made(msgspec.Struct, forbid_unknown_fields=True):
             azimuths_deg=list(chips.azimuths_deg),
             grazing_deg=list(chips.grazing_deg),
             ground=str(chips.ground),
-            ground_digest=None if str(chips.ground) in (LEARNED, UNIFORM) else _digest(Path(chips.ground)),
+            ground_digest=None if str(chips.ground) in (LEARNED, UNIFORM) else sha256_of(Path(chips.ground)),
             speckle=chips.speckle,
             scatterers=chips.scatterers if math.isfinite(chips.scatterers) else None,
             **vars(how),
@@ -337,8 +336,3 @@ class Made(msgspec.Struct, forbid_unknown_fields=True):
             if (theirs := getattr(other, name)) != mine:
                 words.append(_CALLED.get(name) or f"{name} ({shown(theirs)}, not {shown(mine)})")
         return f"differs in {', '.join(words)}"
-
-
-def _digest(path: Path) -> str:
-    with open_file(path) as file:
-        return hashlib.sha256(file.read()).hexdigest()
