@@ -1,6 +1,7 @@
 """Measured chips of datasets, written as generated ones are, so that a classifier can be trained on both."""
 
 import warnings
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,17 +35,6 @@ MARKER = "measured-chips.json"
 _SCHEMA, _SCHEMA_VERSION = "sarsplat-measured-chips", 1
 
 _COLUMNS = ("path", "class", "split", "name", "azimuth_deg", "grazing_deg", *IMPORT_COLUMNS)
-
-
-@dataclass(frozen=True)
-class _Measured:
-    """Measured chip: its amplitude, row 0 near, complex if its phase is known."""
-
-    split: str
-    name: str
-    view: View | None  # None if the azimuth is unknown
-    grazing_deg: float
-    amplitude: Complex64[np.ndarray, "rows columns"]
 
 
 @dataclass(frozen=True)
@@ -106,9 +96,10 @@ def write_measured_chips(
         read[path] = dataset.grid, dataset.target
         brightest = max(brightest, float(dataset.select("train").power.max()))
     require_distinct_folders(target for _, target in read.values())
-    counts: dict[tuple[str, str], int] = {}
+    counts: Counter[tuple[str, str]] = Counter()
     rows: list[dict[str, Any]] = []
     views: list[View] = []
+    stored_columns = "near_side", encoding.scale_column
     size = encoding.size(next(iter(read.values()))[0])
     with new_folder(out, overwrite, marker=MARKER) as folder, progress(f"chips to {out}", len(folders), quiet) as shows:
         record = {"schema": _SCHEMA, "schema_version": _SCHEMA_VERSION, "program": program_version()}
@@ -116,17 +107,16 @@ def write_measured_chips(
         for path in folders:
             dataset = read_dataset(path)
             planned, serial = _planned(dataset), one_serial(dataset.source)
-            for chip in _chips_of(path, dataset):
-                at = chip.split, folder_name(dataset.target)
-                number = counts.get(at, 0)
-                counts[at] = number + 1
-                file = Path(*at) / f"{number:08d}{ENDINGS[encoding.format]}"
+            for split, name, grazing_deg, view, amplitude in _chips_of(path, dataset):
+                at = split, folder_name(dataset.target)
+                file = Path(*at) / f"{counts[at]:08d}{ENDINGS[encoding.format]}"
+                counts[at] += 1
                 (folder / file).parent.mkdir(parents=True, exist_ok=True)
-                (folder / file).write_bytes(encoding.encoded(chip.amplitude, brightest))
-                scale = encoding.numbers_per_unit(chip.amplitude, brightest)
-                known = planned.get(chip.name, (serial, round(chip.grazing_deg)))
-                stored = {"near_side": encoding.near, encoding.scale_column: scale}
-                rows.append({**_row(file, dataset, chip, known), **stored})
+                (folder / file).write_bytes(encoding.encoded(amplitude, brightest))
+                named = file.as_posix(), dataset.target, split, name
+                labels = planned.get(name, (serial, round(grazing_deg)))
+                stored = encoding.near, encoding.numbers_per_unit(amplitude, brightest)
+                rows.append(_row(named, labels, grazing_deg, view, dataset.grid) | dict(zip(stored_columns, stored)))
             views += dataset.views
             shows.advance(1, dataset.target)
         splits, targets = (dict.fromkeys(names) for names in zip(*counts, strict=True))
@@ -134,8 +124,7 @@ def write_measured_chips(
         lacking = [(split, target) for split in splits for target in targets if (split, target) not in counts]
         for split, target in lacking:
             (folder / split / target).mkdir()
-        columns = *_COLUMNS, *unusual_columns(views), "near_side", encoding.scale_column
-        write_bytes(folder / LABELS, encoded_table(rows, columns))
+        write_bytes(folder / LABELS, encoded_table(rows, (*_COLUMNS, *unusual_columns(views), *stored_columns)))
     if lacking:
         split, target = lacking[0]
         warnings.warn(
@@ -165,14 +154,16 @@ def _require_fit(path: Path, dataset: Dataset, encoding: Encoding, before: dict[
         encoding.require_equal_sizes(grid, str(path), one, str(first))
 
 
-def _chips_of(path: Path, dataset: Dataset) -> Iterator[_Measured]:
-    """Yield all chips of a dataset, those without azimuth last."""
+def _chips_of(
+    path: Path, dataset: Dataset
+) -> Iterator[tuple[str, str, float, View | None, Complex64[np.ndarray, "rows columns"]]]:
+    """Yield set, name, grazing angle, view and amplitude (row 0 near) of all chips; those without view come last."""
     amplitudes = np.sqrt(dataset.power) if dataset.signal is None else dataset.signal
     for entry, amplitude in zip(dataset.entries, amplitudes, strict=True):
-        yield _Measured(entry.split, entry.name, entry.view, entry.view.grazing_deg, amplitude.astype(np.complex64))
+        yield entry.split, entry.name, entry.view.grazing_deg, entry.view, amplitude.astype(np.complex64)
     for one in unplaced_in(dataset.source, path):
-        power = read_unplaced(dataset, path, one["file"])
-        yield _Measured(one["set"], one["name"], None, one["grazing_deg"], np.sqrt(power).astype(np.complex64))
+        amplitude = np.sqrt(read_unplaced(dataset, path, one["file"])).astype(np.complex64)
+        yield one["set"], one["name"], one["grazing_deg"], None, amplitude
 
 
 def _planned(dataset: Dataset) -> dict[str, tuple[str, int]]:
@@ -186,23 +177,23 @@ def _planned(dataset: Dataset) -> dict[str, tuple[str, int]]:
     return known
 
 
-def _row(file: Path, dataset: Dataset, chip: _Measured, planned: tuple[str, int]) -> dict[str, Any]:
-    azimuth = None if chip.view is None else chip.view.azimuth_deg
-    placed = ("", "") if azimuth is None else (azimuth, round(-azimuth % 360, 6))
-    unusual = () if chip.view is None else unusual_values(chip.view)
-    named = (file.as_posix(), dataset.target, chip.split, chip.name, placed[0], chip.grazing_deg)
-    labels = (*planned, chip.grazing_deg, placed[1])
-    lengths = (*dataset.grid.spacing_m, *dataset.grid.resolution_m)
-    return dict(zip((*_COLUMNS, *UNUSUAL_COLUMNS), (*named, *labels, *lengths, *unusual), strict=False))
+def _row(
+    named: tuple[str, str, str, str], planned: tuple[str, int], grazing_deg: float, view: View | None, grid: ImageGrid
+) -> dict[str, Any]:
+    azimuth, target_az = ("", "") if view is None else (view.azimuth_deg, round(-view.azimuth_deg % 360, 6))
+    angles = azimuth, grazing_deg, *planned, grazing_deg, target_az
+    unusual = () if view is None else unusual_values(view)
+    values = *named, *angles, *grid.spacing_m, *grid.resolution_m, *unusual
+    return dict(zip((*_COLUMNS, *UNUSUAL_COLUMNS), values, strict=False))
 
 
 def in_words(written: MeasuredChips) -> str:
     """Describe written chips: "5,172 chips of 10 classes (2,747 train, 2,425 test-15), 88 × 88 pixels"."""
-    splits: dict[str, int] = {}
+    splits: Counter[str] = Counter()
     for (split, _), number in written.counts.items():
-        splits[split] = splits.get(split, 0) + number
+        splits[split] += number
     classes = len({target for _, target in written.counts})
     sets = ", ".join(f"{number:,} {split}" for split, number in splits.items())
     rows, columns = written.size
     kinds = "1 class" if classes == 1 else f"{classes} classes"
-    return f"{counted(sum(splits.values()), 'chip')} of {kinds} ({sets}), {rows} × {columns} pixels"
+    return f"{counted(splits.total(), 'chip')} of {kinds} ({sets}), {rows} × {columns} pixels"
