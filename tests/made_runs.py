@@ -7,9 +7,12 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from made import FEW_POINTS, dataset_of
 from sarsplat import Config, Dataset, ImageGrid, Place, Run, Trainer, View, preset, reconstruct, write_dataset
+from sarsplat.baselines import Baseline
+from sarsplat.baselines.trainer import BaselineTrainer
 from sarsplat.evaluation import IMAGE_METRICS, Yardstick, all_metrics, metrics_of_points
 from sarsplat.geometry.responses import TAYLOR
 from sarsplat.learning.snapshot import Snapshot
@@ -26,6 +29,13 @@ def trained(dataset: Dataset, config: Config, steps: int, snapshot: Snapshot | N
     for _ in range(steps):
         trainer.step()
     return trainer
+
+
+def baseline_losses(model: Baseline, images: Tensor, steps: int) -> list[float]:
+    """Losses of the first steps of a baseline's training on images in units of its scene's power."""
+    dataset = SimpleNamespace(images=lambda split: images.numpy() * np.float32(model.scene.unit))
+    trainer = BaselineTrainer(dataset, model.config, model)
+    return [trainer.step().item() for _ in range(steps)]
 
 
 def assert_same(one: Snapshot, other: Snapshot) -> None:

@@ -37,17 +37,9 @@ def box(sides: tuple[float, float, float], bottom: tuple[float, float, float] = 
     return cube / 2 * sides + bottom + (0, 0, sides[2] / 2), template.faces
 
 
-def joined(*meshes: Mesh) -> Mesh:
-    starts = np.cumsum([0, *(len(points) for points, _ in meshes)])
-    return (
-        np.concatenate([points for points, _ in meshes]),
-        np.concatenate([faces + start for (_, faces), start in zip(meshes, starts, strict=False)]),
-    )
-
-
-def layers(renderer: MeshRenderer, mesh: Mesh, view: View = VIEW, gamma0: float = 1.0) -> Layers:
+def layers(renderer: MeshRenderer, mesh: Mesh, view: View = VIEW, gamma0: float | torch.Tensor = 1.0) -> Layers:
     points, faces = (torch.from_numpy(one) for one in mesh)
-    return renderer.layers(points, faces, torch.full((len(faces),), gamma0, dtype=points.dtype), view)
+    return renderer.layers(points, faces, torch.ones(len(faces), dtype=points.dtype) * gamma0, view)
 
 
 @pytest.mark.parametrize("renderer", [SHARP, SOFT])
@@ -75,8 +67,10 @@ def test_the_back_of_a_face_is_not_seen():
 @pytest.mark.parametrize(("up", "side", "seen"), [(0.0, 2.0, 0.0), (-2.0, 3.0, 4.5)], ids=["all", "half"])
 def test_what_is_hidden_gets_no_illumination(renderer, up, side, seen):
     front, behind = facing_plate(4.0, -1.0, up), facing_plate(side, 1.0)
-    image = layers(renderer, joined(front, behind))
     count = len(front[1])
+    image = layers(
+        renderer, (np.concatenate([front[0], behind[0]]), np.concatenate([front[1], behind[1] + len(front[0])]))
+    )
     assert image.sections[:count].sum().item() == pytest.approx(16.0, rel=1e-3)
     # some light comes through the soft seams between faces
     assert image.sections[count:].sum().item() == pytest.approx(seen, rel=0.15, abs=0.2)
@@ -142,12 +136,13 @@ def test_scattering_scales_the_image_and_nothing_else():
 
 
 def test_a_wider_response_spreads_the_same_power():
-    wide = MeshRenderer(ImageGrid(44, 36, (0.25, 0.3), (0.75, 0.6)), 0.15, 0.1)
-    narrow = MeshRenderer(ImageGrid(44, 36, (0.25, 0.3), (0.25, 0.3)), 0.15, 0.1)
-    mesh = box((1, 1, 1), (0, 0, 0))
-    first, second = layers(narrow, mesh).target.numpy(), layers(wide, mesh).target.numpy()
+    mesh, grid = box((1, 1, 1), (0, 0, 0)), replace(GRID, center_m=(0.0, 0.0))
+    first, second = (
+        layers(replace(SOFT, grid=replace(grid, resolution_m=resolution)), mesh).target.numpy()
+        for resolution in ((0.25, 0.3), (0.75, 0.6))
+    )
     assert second.sum() == pytest.approx(first.sum(), rel=1e-3)
-    offsets = GRID.azimuth_m - 0.1
+    offsets = grid.azimuth_m
 
     def variance(image: np.ndarray) -> float:
         across = image.sum(axis=0) / image.sum()
@@ -182,13 +177,11 @@ def test_gradients_are_those_of_finite_differences(monkeypatch):
 
 @pytest.mark.parametrize("tilt_deg", [0.0, 15.0])
 def test_from_the_left_it_is_right_mirrored(tilt_deg: float) -> None:
-    vertices, faces = box((2.0, 1.5, 1.0))
-    points = torch.from_numpy(vertices)
-    gamma0 = torch.linspace(0.1, 1.0, len(faces), dtype=points.dtype)
-    grid = replace(GRID, center_m=(0.0, GRID.center_m[1]))
-    renderer = MeshRenderer(grid, 0.05, 0.03)
-    left = renderer.layers(points, torch.from_numpy(faces), gamma0, View(20, 30, tilt_deg, "left"))
-    right = renderer.layers(points, torch.from_numpy(faces), gamma0, View(20, 30, -tilt_deg))
+    mesh, renderer = box((2.0, 1.5, 1.0)), replace(SHARP, grid=replace(GRID, center_m=(0.0, GRID.center_m[1])))
+    gamma0 = torch.linspace(0.1, 1.0, len(mesh[1]), dtype=torch.float64)
+    left, right = (
+        layers(renderer, mesh, view, gamma0) for view in (View(20, 30, tilt_deg, "left"), View(20, 30, -tilt_deg))
+    )
     for name in ("target", "lit", "hidden"):
         expected = getattr(right, name).flip(1)
         assert float(expected.max()) > 0.05
