@@ -1,5 +1,6 @@
 """Made-up inputs of tests: datasets, targets, terrain, Gaussians, files."""
 
+import csv
 import io
 import math
 import struct
@@ -141,6 +142,12 @@ def pack_glb(text: bytes, rest: bytes) -> bytes:
     """A binary glTF of this JSON, and chunks after it."""
     text += b" " * (-len(text) % 4)
     return b"glTF" + struct.pack("<III", 2, 20 + len(text) + len(rest), len(text)) + b"JSON" + text + rest
+
+
+def read_table(path: Path) -> list[dict[str, str]]:
+    """Rows of a CSV file with a header."""
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
 
 
 PROJECTED = (1, 1, 0, 2, 1024, 0, 1, 1, 3076, 0, 1, 9001)

@@ -12,8 +12,9 @@ import torch
 from PIL import Image
 from scipy.special import digamma
 
-from sarsplat import Gaussians, Harmonics, Run, SarsplatError, View, chips
-from sarsplat.learning.method import Reconstruction
+from made import upright
+from sarsplat import Run, SarsplatError, View, chips
+from sarsplat.learning.method import DrawsSamples, Reconstruction
 from sarsplat.learning.model import SceneModel
 from sarsplat.learning.parts.part import Shot, drawn_like
 from sarsplat.learning.sampler import Sampler
@@ -23,12 +24,15 @@ from sarsplat.samples import backdrop_of, write_chips
 VIEW = View(40.0, 17.0)
 
 
-def of_power(run: Run, count: int, **options: str) -> np.ndarray:
-    ground = backdrop_of(options.get("ground", "learned"), run.grid)
-    draw = run.reconstruction.sampler(
-        ground, options.get("speckle", "response"), float(options.get("scatterers", "inf"))
-    )
+def drawn(draw: DrawsSamples, count: int) -> np.ndarray:
+    """Power of samples."""
     return np.stack([np.abs(draw(VIEW, seed)) ** 2 for seed in range(count)])
+
+
+def of_power(
+    run: Run, count: int, ground: str = "learned", speckle: Speckle = "response", scatterers: float = math.inf
+) -> np.ndarray:
+    return drawn(run.reconstruction.sampler(backdrop_of(ground, run.grid), speckle, scatterers), count)
 
 
 def test_view_and_seed_say_all(run: Run) -> None:
@@ -39,8 +43,8 @@ def test_view_and_seed_say_all(run: Run) -> None:
     assert not np.array_equal(run.sample(View(41.0, 17.0), 7), one)
 
 
-@pytest.mark.parametrize("scatterers", ["inf", "2.5"])
-def test_on_average_it_is_what_is_rendered(run: Run, scatterers: str) -> None:
+@pytest.mark.parametrize("scatterers", [math.inf, 2.5])
+def test_on_average_it_is_what_is_rendered(run: Run, scatterers: float) -> None:
     """Over patches, for the response of the mean image is widened."""
     mean, expected = of_power(run, 60, scatterers=scatterers).mean(0), run.render([VIEW])[0]
     patches = [image.reshape(4, 8, 4, 9).mean((1, 3)) for image in (mean, expected)]
@@ -49,7 +53,8 @@ def test_on_average_it_is_what_is_rendered(run: Run, scatterers: str) -> None:
 
 def test_speckle_has_the_power_of_what_it_is_on(run: Run) -> None:
     clean = of_power(run, 40, speckle="none")
-    for speckle in ("response", "white"):
+    kinds: tuple[Speckle, ...] = "response", "white"
+    for speckle in kinds:
         ratio = of_power(run, 40, speckle=speckle) / clean
         assert ratio.mean() == pytest.approx(1, abs=0.03)
         assert ratio.std() == pytest.approx(1, abs=0.05)
@@ -68,8 +73,15 @@ def altered(run: Run, **factors: float) -> SceneModel:
 
 
 def powers(model: SceneModel, run: Run, count: int, speckle: Speckle, scatterers: float) -> np.ndarray:
-    draw = Sampler(model, 0, run.grid, "learned", speckle, scatterers)
-    return np.stack([np.abs(draw(VIEW, seed)) ** 2 for seed in range(count)])
+    return drawn(Sampler(model, 0, run.grid, "learned", speckle, scatterers), count)
+
+
+def mean_drawn_from(power: np.ndarray, run: Run, count: int) -> np.ndarray:
+    """Mean power of samples of which the target's expectation is given, and nothing else is there."""
+    assert run.model is not None
+    draw = Sampler(run.model, 0, run.grid, "learned", "response", math.inf)
+    draw._powers = lambda *_: (power, np.zeros_like(power))  # type: ignore[method-assign]
+    return drawn(draw, count).mean(0)
 
 
 def test_few_scatterers_put_a_targets_power_into_points_and_leave_the_ground_alone(run: Run) -> None:
@@ -89,7 +101,7 @@ def test_noise_and_brighter_ground_before_a_target_are_speckle(run: Run) -> None
     faint, grid = altered(run, scattering=1e-4, optical_depth=30.0), run.grid
     for ground in ("learned", 100 * np.ones((grid.rows, grid.columns), np.float32)):
         draws = [Sampler(faint, 0, grid, ground, "response", scatterers) for scatterers in (math.inf, 0.3)]
-        levels = [np.log([np.abs(draw(VIEW, seed)) ** 2 for seed in range(50)]).mean(0) for draw in draws]
+        levels = [np.log(drawn(draw, 50)).mean(0) for draw in draws]
         off = (levels[0] - levels[1])[10:24, 12:22].reshape(7, 2, 5, 2).mean((1, 3))  # and in its shadow
         assert np.abs(off).mean() < 0.18  # chance makes 0.13
 
@@ -97,30 +109,23 @@ def test_noise_and_brighter_ground_before_a_target_are_speckle(run: Run) -> None
 def test_gaussians_smaller_than_pixels_keep_their_power(run: Run) -> None:
     """They are imaged in finer pixels."""
     small = altered(run, scales=1 / 6, scattering=300.0)
-    drawn = [powers(small, run, 20, speckle, 2.5)[:, 6:26, 8:28] for speckle in ("none", "response")]
-    assert drawn[1].mean() == pytest.approx(drawn[0].mean(), rel=0.1)
+    clean, speckled = (powers(small, run, 20, speckle, 2.5)[:, 6:26, 8:28] for speckle in ("none", "response"))
+    assert speckled.mean() == pytest.approx(clean.mean(), rel=0.1)
 
 
 @pytest.mark.parametrize(("row", "column"), [(0, 18), (31, 18), (16, 0), (16, 35)])
 def test_what_is_at_one_edge_is_not_seen_at_the_opposite_one(run: Run, row: int, column: int) -> None:
     """As on a grid that goes on beyond both: the response of a bright point ends there, side lobes included."""
-    assert run.model is not None
-    draw = Sampler(run.model, 0, run.grid, "learned", "response", math.inf)
     point = np.zeros((32, 36), np.float32)
     point[row, column] = 1
-    draw._powers = lambda *_: (point, np.zeros_like(point))  # type: ignore[method-assign]
-    seen = np.mean([np.abs(draw(VIEW, seed)) ** 2 for seed in range(20)], 0)
+    seen = mean_drawn_from(point, run, 20)
     opposite = seen[31 - row] if column == 18 else seen[:, 35 - column]
     assert np.unravel_index(seen.argmax(), seen.shape) == (row, column)
     assert opposite.max() < seen.max() / 255**2
 
 
 def test_nothing_darkens_towards_the_edges(run: Run) -> None:
-    assert run.model is not None
-    draw = Sampler(run.model, 0, run.grid, "learned", "response", math.inf)
-    level = np.full((32, 36), 3.0, np.float32)
-    draw._powers = lambda *_: (level, np.zeros_like(level))  # type: ignore[method-assign]
-    seen = np.mean([np.abs(draw(VIEW, seed)) ** 2 for seed in range(200)], 0)
+    seen = mean_drawn_from(np.full((32, 36), 3.0, np.float32), run, 200)
     for edge in (seen[0], seen[-1], seen[:, 0], seen[:, -1]):
         assert edge.mean() == pytest.approx(3, rel=0.06)
 
@@ -152,8 +157,8 @@ def test_a_gain_is_on_what_is_scattered_and_not_on_the_noise(run: Run) -> None:
 
 
 def test_one_image_has_no_spread() -> None:
-    drawn = drawn_like(torch.tensor([[3.0, 4.0]]), 2, np.random.default_rng(0))
-    assert drawn.tolist() == [[3.0, 4.0]] * 2
+    found = drawn_like(torch.tensor([[3.0, 4.0]]), 2, np.random.default_rng(0))
+    assert found.tolist() == [[3.0, 4.0]] * 2
 
 
 def test_uniform_ground_is_everywhere_the_same(run: Run) -> None:
@@ -214,11 +219,6 @@ SINGLE: list[tuple[dict[str, Any], str]] = [
 ]
 
 
-def of_own_gaussians() -> Run:
-    parts = (torch.ones(1, columns) for columns in (3, 4, 3))
-    return Run.from_gaussians(Gaussians(*parts, optical_depth=torch.ones(1), scattering=Harmonics(torch.ones(1, 1))))
-
-
 @pytest.mark.parametrize(
     ("ask", "words"),
     [
@@ -226,7 +226,7 @@ def of_own_gaussians() -> Run:
         *((lambda run, options=options: run.sample(View(40, 17), **options), words) for options, words in SINGLE),
         (lambda run: chips([]), "there are no runs"),
         (lambda run: write_chips(chips([run], count=1), "out", shard=0), "shard is 0; give at least one"),
-        (lambda run: of_own_gaussians().sample(View(40, 17)), "was learned without speckle"),
+        (lambda run: Run.from_gaussians(upright([0, 0, 0])).sample(View(40, 17)), "was learned without speckle"),
         (lambda run: Reconstruction.sampler(run, "learned", "response", 1.0), "not how single ones differ"),
     ],
 )

@@ -1,6 +1,5 @@
 """Sets of chips as files: read back by the importers, and the same after any stop."""
 
-import csv
 import io
 import json
 import tarfile
@@ -11,6 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from made import read_table
 from sarsplat import Run, SarsplatError, chips, import_folder, import_mstar
 from sarsplat.importers.pictures import read_pixels
 from sarsplat.samples import Chips, write, write_chips
@@ -32,10 +32,8 @@ def test_mstar_reads_a_class_back(folders: list[Path], tmp_path: Path) -> None:
     assert sorted(view.azimuth_deg for view in back.views) == [0, 90, 180, 270]
     place = [view.azimuth_deg for view in back.views].index(90)
     assert back.views[place] == made.label(3).view
-    assert (back.grid.spacing_m, back.grid.resolution_m) == (
-        made.runs[0].grid.spacing_m,
-        made.runs[0].grid.resolution_m,
-    )
+    grid = made.runs[0].grid
+    assert (back.grid.spacing_m, back.grid.resolution_m) == (grid.spacing_m, grid.resolution_m)
     power = np.abs(made.sample(3)) ** 2
     found = back.power[place]
     bright = power > power.max() / 30
@@ -72,15 +70,12 @@ def test_a_folder_of_several_classes_is_imported_class_by_class(folders: list[Pa
 def test_the_table_says_what_each_shows(folders: list[Path], tmp_path: Path) -> None:
     made = chips(folders, count=2)
     write_chips(made, tmp_path / "set")
-    with (tmp_path / "set" / "labels.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = read_table(tmp_path / "set" / "labels.csv")
     for index, row in enumerate(rows):
         label = made.label(index)
         assert (row["class"], int(row["seed"]), row["run"]) == (label.target, label.seed, str(folders[label.run]))
-        assert (float(row["azimuth_deg"]), float(row["grazing_deg"])) == (
-            label.view.azimuth_deg,
-            label.view.grazing_deg,
-        )
+        angles = label.view.azimuth_deg, label.view.grazing_deg
+        assert (float(row["azimuth_deg"]), float(row["grazing_deg"])) == angles
         stored = read_pixels(tmp_path / "set" / row["path"])
         assert np.array_equal(stored, made[index][0][0].numpy())
     assert len(rows) == len(tree(tmp_path / "set")) - 2
@@ -142,15 +137,10 @@ def test_another_set_is_not_gone_on_with_and_not_lost(run: Run, tmp_path, change
 
 def test_numbers_of_numpy_make_the_same_files(run: Run, tmp_path: Path) -> None:
     angles = {"azimuths_deg": (angle for angle in np.arange(0, 360, 90)), "grazing_deg": np.array([16, 17])}
-    numbers: dict[str, Any] = {
-        "count": np.int64(3),
-        "seed": np.int64(2),
-        "crop": np.uint8(20),
-        "jpeg_quality": np.uint8(80),
-    }
+    plain = {"count": 3, "seed": 2, "crop": 20, "jpeg_quality": 80}
+    numbers: dict[str, Any] = {name: np.uint8(number) for name, number in plain.items()}
     made = chips([run], **angles, **numbers, scatterers=np.float32(3))
     write_chips(made, tmp_path / "set", shard=np.int64(2))
-    plain = {name: number.item() for name, number in numbers.items()}
     made = chips([run], azimuths_deg=[0, 90, 180, 270], grazing_deg=(16.0, 17.0), **plain, scatterers=3.0)
     write_chips(made, tmp_path / "plain", shard=2)
     assert tree(tmp_path / "set") == tree(tmp_path / "plain")
