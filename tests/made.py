@@ -78,6 +78,11 @@ def box_dataset(folder: Path, grid: ImageGrid, *, masks: bool = False) -> Datase
     return write_dataset(folder / "dataset", made, truth_mesh=mesh, masks=true)
 
 
+def overlap(one: np.ndarray, other: np.ndarray) -> float:
+    """Intersection over union of two masks."""
+    return float((one & other).sum() / (one | other).sum())
+
+
 # ---- targets, terrain, Gaussians -------------------------------------------------------------------------------------
 def lorry(scale: float = 1.0) -> Any:
     """A long box with a cabin at one end and a mast, of no symmetry, larger or smaller."""

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from made import overlap
 from made_runs import baseline_losses
 from sarsplat.baselines import Scene, soft_raster
 from sarsplat.baselines.mesh_renderer import Layers, MeshRenderer
@@ -43,17 +44,17 @@ def test_it_learns_a_ball_from_an_ellipsoid(scene_and_images):
     scene, images = scene_and_images
     model = Dsr(scene, DsrConfig(iterations=30, learning_rate=0.03, sigma=1e-4, laplacian=1.0))
 
-    def overlap() -> float:
-        lit = (torch.stack([model.layers(view).lit for view in VIEWS]) > 0.5).numpy()
-        return float((lit & (scene.masks == 1)).sum() / (lit | (scene.masks == 1)).sum())
+    def shared() -> float:
+        lit = torch.stack([model.layers(view).lit for view in VIEWS]) > 0.5
+        return overlap(lit.numpy(), scene.masks == 1)
 
     def off_m() -> float:
         return float(np.abs(np.linalg.norm(model.surface()[0] - BALL, axis=1) - 0.7).mean())
 
-    before, off_before = overlap(), off_m()
+    before, off_before = shared(), off_m()
     losses = baseline_losses(model, images, 30)
     assert losses[-1] < 0.6 * losses[0]
-    assert before < 0.6 and overlap() > 0.85
+    assert before < 0.6 and shared() > 0.85
     assert off_m() < 0.65 * off_before
     vertices, faces = model.surface()
     assert (vertices.dtype, faces.dtype, vertices.shape, faces.shape) == (np.float64, np.int64, (642, 3), (1280, 3))

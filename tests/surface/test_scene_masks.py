@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from made import upright
+from made import overlap, upright
 from sarsplat.gaussians import Gaussians, Ground
 from sarsplat.geometry import CLUTTER, SHADOW, TARGET, ImageGrid, RayGrid, View
 from sarsplat.learning.method_sar_gs import GaussianReconstruction
@@ -37,21 +37,17 @@ def scene(mesh: trimesh.Trimesh) -> Gaussians:
     return target.with_tensors(scattering=torch.zeros(len(target), 1))
 
 
-def overlap(first: np.ndarray, second: np.ndarray, kind: int) -> float:
-    return float(((first == kind) & (second == kind)).sum() / ((first == kind) | (second == kind)).sum())
-
-
 @pytest.mark.parametrize("height", [1.5, 3.0])
 def test_masks_are_those_of_the_mesh(height: float) -> None:
     masks = scene_masks(scene(box(height)), GROUND, VIEWS, GRID, RAYS)
     assert (masks.dtype, masks.shape) == (np.uint8, (2, 48, 40))
     for mask, view in zip(masks, VIEWS, strict=True):
         true = raycast_mask(box(height), view, GRID)
-        assert overlap(mask, true, TARGET) > 0.9
-        assert overlap(mask, true, SHADOW) > 0.9
+        assert overlap(mask == TARGET, true == TARGET) > 0.9
+        assert overlap(mask == SHADOW, true == SHADOW) > 0.9
 
 
-@pytest.mark.parametrize("tilt", [30.0, -60.0, 80.0, -87.0])
+@pytest.mark.parametrize("tilt", [0.0, 30.0, -60.0, 80.0, -87.0])
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_what_stands_on_tilted_ground_is_seen(tilt: float, side: Literal["right", "left"]) -> None:
     """Though pixels show more ground, until it is edge-on; so it is with true masks, and without ground."""
@@ -59,17 +55,10 @@ def test_what_stands_on_tilted_ground_is_seen(tilt: float, side: Literal["right"
     true = raycast_mask(box(), view, GRID)
     for ground in (GROUND, None):
         (mask,) = scene_masks(scene(box()), ground, [view], GRID, RAYS)
-        assert overlap(mask, true, TARGET) > 0.8
+        assert overlap(mask == TARGET, true == TARGET) > 0.8
         assert (mask == SHADOW).any() == (ground is not None and abs(tilt) < 85)
     level = raycast_mask(box(), VIEWS[0], GRID)
     assert (true == TARGET).sum() > 0.75 * (level == TARGET).sum()
-
-
-def test_without_ground_there_is_no_shadow() -> None:
-    with_ground = scene_masks(scene(box()), GROUND, VIEWS, GRID, RAYS)
-    alone = scene_masks(scene(box()), None, VIEWS, GRID, RAYS)
-    assert set(np.unique(alone)) == {CLUTTER, TARGET}
-    assert ((alone == TARGET) != (with_ground == TARGET)).sum() < 5  # the sheet is not infinitely thin
 
 
 def test_the_ground_decides_what_is_bright() -> None:
@@ -106,8 +95,8 @@ def test_what_lies_around_the_points_is_not_the_target() -> None:
     masks = masks_of(Gaussians.cat([target, haze(500)]), GROUND, points, VIEWS)
     for mask, view in zip(masks, VIEWS, strict=True):
         true = raycast_mask(box(), view, GRID)
-        assert overlap(mask, true, TARGET) > 0.8
-        assert overlap(mask, true, SHADOW) > 0.8
+        assert overlap(mask == TARGET, true == TARGET) > 0.8
+        assert overlap(mask == SHADOW, true == SHADOW) > 0.8
 
 
 @pytest.mark.parametrize("ground", [False, True])
@@ -121,5 +110,5 @@ def test_aloft_there_is_target_and_nothing_else(view: View) -> None:
     mesh = box(3.0)
     mesh.apply_translation((0, 0, -1.5))  # around the origin
     (mask,), true = scene_masks(scene(mesh), None, [view], GRID, RAYS), raycast_mask(mesh, view, GRID)
-    assert overlap(mask, true, TARGET) > 0.9
+    assert overlap(mask == TARGET, true == TARGET) > 0.9
     assert set(np.unique(mask)) == set(np.unique(true)) == {CLUTTER, TARGET}
