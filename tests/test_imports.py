@@ -176,24 +176,15 @@ UNIX_NAMES = (
 """Of `os` and `signal`: what Windows lacks."""
 
 
-class Fresh:
-    """What a fresh interpreter finds out, by question; one is asked everything, for each takes seconds to begin."""
-
-    def __init__(self, out: Path) -> None:
-        extras = {module for modules in EXTRAS.values() for module in modules}
-        lists = (",".join(words) for words in (RANK, sorted(extras), UNIX_NAMES))
-        done = python("-W", "error", "-c", FRESH, out, *lists)
-        self.answers = dict(json.loads(line) for line in done.stdout.splitlines())
-        self.code, self.stderr, self.written = done.returncode, done.stderr, out.exists()
-
-    def __getitem__(self, question: str) -> Any:
-        assert question in self.answers, self.stderr
-        return self.answers[question]
-
-
 @pytest.fixture(scope="module")
-def fresh(tmp_path_factory: pytest.TempPathFactory) -> Fresh:
-    return Fresh(tmp_path_factory.mktemp("fresh") / "out")
+def fresh(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """What a fresh interpreter finds out, by question; one is asked everything, for each takes seconds to begin."""
+    out = tmp_path_factory.mktemp("fresh") / "out"
+    extras = {module for modules in EXTRAS.values() for module in modules}
+    lists = (",".join(words) for words in (RANK, sorted(extras), UNIX_NAMES))
+    done = python("-W", "error", "-c", FRESH, out, *lists)
+    assert done.returncode == 0, done.stderr
+    return {**dict(map(json.loads, done.stdout.splitlines())), "stderr": done.stderr, "written": out.exists()}
 
 
 @pytest.mark.parametrize(("folder", "more"), [("renderer", set()), ("scenes", {"scipy"})])
@@ -209,14 +200,15 @@ def test_everything_imports_and_renders_with_the_core_dependencies_alone(fresh):
     assert fresh["extras"] == []
     assert fresh["sum"] > 0
     assert fresh["simulate"] == 2
-    assert "which is not installed; install it with: pip install 'sarsplat[simulate]'" in " ".join(fresh.stderr.split())
-    assert not fresh.written
+    assert "which is not installed; install it with: pip install 'sarsplat[simulate]'" in " ".join(
+        fresh["stderr"].split()
+    )
+    assert not fresh["written"]
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="takes from Linux what Windows lacks")
 def test_everything_imports_without_what_windows_lacks(fresh):
     assert {f"sarsplat.{name}" for name in modules()} - {"sarsplat."} <= {*fresh["as on Windows"]}
-    assert fresh.code == 0
 
 
 # ---- the geometry of views ------------------------------------------------------------------------------------------

@@ -120,7 +120,6 @@ def test_a_browser_asks_nothing_of_other_machines(site):
     with chromium() as browser:
         for name in ("index.html", "tutorials/own_mesh.html", "reference/python/renderer.html"):
             browser.page.open((site / name).as_uri())
-            browser.page.value(
-                "new Promise(done => setTimeout(done, 1000))"
-            )  # what its scripts ask for when it is there
+            # what its scripts ask for when it is there
+            browser.page.value("new Promise(done => setTimeout(done, 1000))")
         assert browser.quit() == []

@@ -68,6 +68,13 @@ def lines(made: SimpleNamespace, table, results: Sequence[Result], kept: Path | 
     return made.summary.lines(table, runs), runs
 
 
+def finding(made: SimpleNamespace, table, values: Sequence[float], of_a_seed: float) -> str:
+    """What is found if the rows have these Chamfer distances, larger from seed to seed."""
+    scores = [(line, seed, value + of_a_seed * seed) for line, value in zip(table.rows, values) for seed in table.seeds]
+    (found,) = made.finding.findings(table, lines(made, table, [finished(*each) for each in scores])[0])
+    return found
+
+
 @pytest.mark.slow
 def test_every_experiment_can_be_run_and_reported(made):
     keys = {metric.key for metric in all_metrics(Yardstick(0.3))}
@@ -176,26 +183,15 @@ def test_what_is_missing_is_a_dash(made, tmp_path, monkeypatch):
 def test_trends_are_compared_with_the_papers(made, ours, said):
     rows = [row(made, f"{x}", changes={"gaussians": x}, x=x, paper={"cd_m": 1 - x / 100}) for x in (10, 20, 30)]
     table = experiment(made, *rows, axis="Gaussians", judged=("cd_m",), tables=(("cd_m",),))
-    results = [finished(line, seed, value + 1e-4 * seed) for line, value in zip(rows, ours) for seed in table.seeds]
-    (found,) = made.finding.findings(table, lines(made, table, results)[0])
-    assert said in found
+    assert said in finding(made, table, ours, 1e-4)
 
 
 def test_rows_without_the_papers_figures_are_held_against_the_first(made):
     rows = [row(made, name, changes={"gaussians": k}) for k, name in enumerate(("clean", "alike", "hard"), 1)]
-    table = experiment(made, *rows, judged=("cd_m",))
-    results = [
-        finished(line, seed, value + 0.01 * seed)
-        for line, value in zip(rows, (0.1, 0.101, 0.5))
-        for seed in table.seeds
-    ]
-    (found,) = made.finding.findings(table, lines(made, table, results)[0])
-    assert found == (
-        "Chamfer distance, m, 0.110 for clean; worse: hard (0.510); "
-        "no different beyond the spread of the seeds: alike (0.111)."
-    )
-    (found,) = made.finding.findings(replace(table, contest=True), lines(made, table, results)[0])
-    assert found.endswith("0.110 for clean; no different beyond the spread of the seeds: alike (0.111).")
+    table, ours = experiment(made, *rows, judged=("cd_m",)), (0.1, 0.101, 0.5)
+    alike = "no different beyond the spread of the seeds: alike (0.111)."
+    assert finding(made, table, ours, 0.01) == (f"Chamfer distance, m, 0.110 for clean; worse: hard (0.510); {alike}")
+    assert finding(made, replace(table, contest=True), ours, 0.01).endswith(f"0.110 for clean; {alike}")
 
 
 def test_others_get_our_time(made, tmp_path):
@@ -265,14 +261,16 @@ def test_a_whole_table_and_what_is_done_is_not_done_again(made, tmp_path, monkey
 
 def test_quick_tables_do_not_reach_the_results(made, tmp_path, monkeypatch, capsys):
     written = []
-    monkeypatch.setattr(made.tables, "write", lambda found, runs, out: written.append((found.quick, out)))
-    monkeypatch.setattr(made.tables, "write_index", lambda out, quick: None)
-    monkeypatch.setattr(made.tables, "missing", lambda found, work: {})
-    monkeypatch.setattr(made.tables, "plan_of", lambda found, work, chips: {})
-    monkeypatch.setattr(made.tables, "runs_of", lambda found, results, kept: [])
-    monkeypatch.setattr(
-        made.tables, "sweep", lambda plan, out, means, run: SimpleNamespace(results=[], failed=[], asked=run)
-    )
+    stand_ins = {
+        "write": lambda found, runs, out: written.append((found.quick, out)),
+        "write_index": lambda out, quick: None,
+        "missing": lambda found, work: {},
+        "plan_of": lambda found, work, chips: {},
+        "runs_of": lambda found, results, kept: [],
+        "sweep": lambda plan, out, means, run: SimpleNamespace(results=[], failed=[], asked=run),
+    }
+    for name, stand_in in stand_ins.items():
+        monkeypatch.setattr(made.tables, name, stand_in)
     for words in (["--quick"], []):
         monkeypatch.setattr(sys, "argv", ["tables.py", "--write", "--only", "loss", "--work", str(tmp_path), *words])
         assert made.tables.main() == 0
@@ -287,14 +285,12 @@ def test_classes_and_azimuths_are_reported_by_arm_and_kept(made, module, tmp_pat
     recognise = module("experiments/recognise")
     scores = {"accuracy": 0.9, "median azimuth error, °": 1.25, "azimuth within 5°": 0.8, "images": 40}
     asked = []
-    monkeypatch.setattr(
-        recognise,
-        "scores_of",
-        lambda folders, seed, each, networks: (
-            asked.append((len(folders), seed, each))
-            or {arm: {**scores, "calibrated by": 20} for arm in recognise.ARMS}.items()
-        ),
-    )
+
+    def scores_of(folders: Sequence[Path], seed: int, each: int, networks: object):
+        asked.append((len(folders), seed, each))
+        return [(arm, {**scores, "calibrated by": 20}) for arm in recognise.ARMS]
+
+    monkeypatch.setattr(recognise, "scores_of", scores_of)
     rows = recognise.rows((5, 12), (), 2)
     assert [len(one.datasets) for one in rows] == [2, 2]
     table = replace(recognise.RECOGNISE, rows=rows, report=partial(recognise.report, each=7))
