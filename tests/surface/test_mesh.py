@@ -11,11 +11,12 @@ import pytest
 import torch
 
 from made import upright
-from sarsplat import Gaussians, Harmonics, ImageGrid, SarsplatError, View, extract_points
+from sarsplat import Gaussians, ImageGrid, SarsplatError, View, extract_points
 from sarsplat.data import write_mesh
 from sarsplat.evaluation import Yardstick, point_metrics
 from sarsplat.evaluation.points import on_surface
 from sarsplat.gaussians.law_harmonics import CONSTANTS
+from sarsplat.scenes import surface_gaussians
 from sarsplat.scenes.meshes import read_mesh
 from sarsplat.settings.sections import PointExtraction
 from sarsplat.surface.mesh import surface_mesh
@@ -39,25 +40,12 @@ class Ball(NamedTuple):
     mesh: Any
 
 
-def turns_to(normals: np.ndarray) -> torch.Tensor:
-    """The turn of the z axis to each unit normal: (1 + z, z × n), not normalised."""
-    x, y, z = normals.T
-    return torch.tensor(np.column_stack([1 + z, -y, x, np.zeros(len(z))]), dtype=torch.float32)
-
-
 @pytest.fixture(scope="module")
 def ball() -> Ball:
-    count = 4000
-    turn, z = np.arange(count) * np.pi * (3 - np.sqrt(5)), 1 - (2 * np.arange(count) + 1) / count
-    outwards = np.column_stack([np.cos(turn) * np.sqrt(1 - z**2), np.sin(turn) * np.sqrt(1 - z**2), z])
-    gamma0 = np.where(outwards[:, 0] > 0, GAMMA0[True], GAMMA0[False])
-    gaussians = Gaussians(
-        torch.tensor(RADIUS * outwards + [0, 0, HEIGHT], dtype=torch.float32),
-        turns_to(outwards),
-        torch.tensor([0.06, 0.06, 0.01]).repeat(count, 1),
-        torch.full((count,), 4.0),
-        Harmonics(torch.tensor(np.log(np.expm1(gamma0)) / CONSTANTS[0], dtype=torch.float32)[:, None]),
-    )
+    sphere = trimesh.creation.icosphere(subdivisions=4, radius=RADIUS).apply_translation((0, 0, HEIGHT))
+    gaussians = surface_gaussians(sphere, 0.2)[0]
+    gamma0 = torch.where(gaussians.means[:, :1] > 0, GAMMA0[True], GAMMA0[False])
+    gaussians = gaussians.with_tensors(scattering=gamma0.expm1().log() / CONSTANTS[0])
     seen = Seen.of(gaussians, VIEWS, GRID)
     points = extract_points(gaussians, VIEWS, GRID, PointExtraction())
     normals = surface_normals(points, seen.around(points)[1], gaussians, GRID.cell_m)
@@ -244,14 +232,10 @@ class Known:
         means, axes = drawn(120.0)
         axes = axes + chance.normal(0, TILT, axes.shape)
         axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-        count = len(means)
-        gaussians = Gaussians(
-            torch.tensor(means + axes * chance.normal(0, NOISE_M, (count, 1)), dtype=torch.float32),
-            turns_to(axes),
-            torch.tensor([0.08, 0.06, 0.02]).repeat(count, 1),
-            torch.ones(count),
-            Harmonics(torch.zeros(count, 1)),
-        )
+        count, (x, y, z) = len(means), axes.T
+        turns = torch.tensor(np.column_stack([1 + z, -y, x, 0 * z]))  # of the z axis to the normal: (1 + z, z × n)
+        gaussians = upright(means + axes * chance.normal(0, NOISE_M, (count, 1)), [0.08, 0.06, 0.02])
+        gaussians = gaussians.with_tensors(quaternions=turns.float())
         whole = torch.ones(count, dtype=torch.float64)
         seen = Seen(torch.tensor(means), whole, whole, torch.tensor(axes), CELL_M / 4)
         self.normals = surface_normals(self.points, outwards, gaussians, CELL_M)
