@@ -131,7 +131,9 @@ def test_runs_that_lose_or_were_never_evaluated_are_warned_of(folders: list[Path
 
 
 def test_angles_that_no_training_image_has_seen_are_warned_of(run: Run) -> None:
-    with pytest.warns(SarsplatWarning, match=r"grazing 16:40 is up to 22° from what .* has seen \(16° to 17.67°\)"):
+    with pytest.warns(
+        SarsplatWarning, match=r"of 16° to 40° are up to 22° from those that a run of box has seen \(16° to 17.67°\)"
+    ):
         chips([run], count=1, grazing_deg=(16.0, 40.0))
     chips([run], count=1, grazing_deg=(14.5, 20.0))
 

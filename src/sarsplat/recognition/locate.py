@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 
 from sarsplat.arguments import checks_arguments
 from sarsplat.data import Dataset
-from sarsplat.errors import SarsplatError, SarsplatWarning
+from sarsplat.errors import SarsplatError
 from sarsplat.evaluation.azimuths import STEP_DEG, around
 from sarsplat.evaluation.matching import Match, Matcher
 from sarsplat.evaluation.templates import (
@@ -33,7 +32,7 @@ from sarsplat.recognition.chips import Chip, chips_of, require_comparable
 from sarsplat.recognition.located import Located
 from sarsplat.recognition.odds import TEMPERATURE, Calibration
 from sarsplat.runs import Run
-from sarsplat.samples.chip_set import target_of
+from sarsplat.samples.chip_set import target_of, warn_of_far_angles
 
 _FAR_DEG = 14.0  # distance from the grazing angles of a training beyond which a warning is given
 _UNKNOWN_DEG = 104.0  # standard deviation of an azimuth of which nothing is known, degrees
@@ -130,7 +129,8 @@ def locate(
             raise SarsplatError("`calibrate` has no image of these classes, besides those to be located; give some")
     every = [*labelled, *chips]
     require_comparable(every)
-    _warn_of_far_angles(opened, every)
+    angles = [chip.view.grazing_deg for chip in every]
+    warn_of_far_angles(opened, min(angles), max(angles), _FAR_DEG)
     matches = _matched(opened, every, steps, window_m, ground, quiet)
     if labelled:
         first = _assembled(opened, labelled, matches[: len(labelled)], calibration)
@@ -214,19 +214,3 @@ def _assembled(
 
 def _listed(images: Dataset | str | Path | Sequence[Dataset | str | Path]) -> list[Dataset | str | Path]:
     return [images] if isinstance(images, Dataset | str | Path) else [*images]
-
-
-def _warn_of_far_angles(runs: Sequence[Run], chips: Sequence[Chip]) -> None:
-    """Warn of grazing angles far from those of the training images: the shape is not known from there."""
-    angles = [chip.view.grazing_deg for chip in chips]
-    for run in runs:
-        seen = [view.grazing_deg for view in run.snapshot.views]
-        far = max(min(seen) - min(angles), max(angles) - max(seen))
-        if far > _FAR_DEG:
-            warnings.warn(
-                f"images at grazing angles of {min(angles):g}° to {max(angles):g}° are up to {far:.0f}° from those "
-                f"that a run of {target_of(run)} has seen, which may not know the target from there",
-                SarsplatWarning,
-                stacklevel=4,
-            )
-            return

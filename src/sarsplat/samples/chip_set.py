@@ -88,7 +88,7 @@ class Chips(torch.utils.data.Dataset[tuple[Tensor, int]]):
             if low > high:
                 raise SarsplatError(f"grazing {low:g}:{high:g} goes down; give the lower angle first")
         if grazing_deg is not None:
-            _warn_of_far_angles(self.runs, *grazing_deg)
+            warn_of_far_angles(self.runs, *grazing_deg, _FAR_DEG)
         _warn_of_poor_runs(self.runs)
         self.targets = tuple(target_of(run) for run in self.runs)
         self.classes = tuple(dict.fromkeys(self.targets))
@@ -266,15 +266,15 @@ def _name(run: Run) -> str:
     return "the run in memory" if run.path is None else names_of([run.path])[0]
 
 
-def _warn_of_far_angles(runs: Sequence[Run], lowest: float, highest: float) -> None:
-    """Warn of grazing angles far from the training's: the shape is not known from there."""
+def warn_of_far_angles(runs: Sequence[Run], lowest: float, highest: float, most_deg: float) -> None:
+    """Warn of grazing angles more than `most_deg` from the training's: the shape is not known from there."""
     for run in runs:
         low, high = _grazing(run)
         far = max(low - lowest, highest - high)
-        if far > _FAR_DEG:
+        if far > most_deg:
             warnings.warn(
-                f"grazing {lowest:g}:{highest:g} is up to {far:.0f}° from what {_name(run)} has seen "
-                f"({low:.4g}° to {high:.4g}°), so its chips may not look like the target",
+                f"grazing angles of {lowest:g}° to {highest:g}° are up to {far:.0f}° from those that a run of "
+                f"{target_of(run)} has seen ({low:.4g}° to {high:.4g}°), which may not know the target from there",
                 SarsplatWarning,
                 stacklevel=4,
             )
