@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Complex64
+from jaxtyping import Complex64, Float32
+from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
 from sarsplat.arguments import checks_arguments
@@ -20,12 +21,12 @@ from sarsplat.data.dataset_folder import read_header
 from sarsplat.errors import SarsplatError, SarsplatWarning, shown
 from sarsplat.geometry import ImageGrid, View
 from sarsplat.geometry.view import seen_alike
+from sarsplat.importers.pictures import likely_quantity, power_or_signal, read_pixels
 from sarsplat.learning.method import DrawsSamples
-from sarsplat.learning.sampler import seed_of
+from sarsplat.learning.sampler import LEARNED, UNIFORM, seed_of
 from sarsplat.names import ChipFormat, ChipQuantity, ChipScale, Side, Speckle
 from sarsplat.runs import Run
 from sarsplat.runs.run_folder import names_of
-from sarsplat.samples.backdrop import backdrop_of
 from sarsplat.samples.encoding import Encoding
 from sarsplat.settings.config import SCATTERERS
 
@@ -33,6 +34,7 @@ _AROUND = 360  # default number of chips of a run
 _MOST = 100_000_000  # maximum number of chips of a set: file names have eight digits
 _GOLDEN = (math.sqrt(5) - 1) / 2  # step between azimuths, turns: any number of them is spread evenly
 _FAR_DEG = 10.0  # distance from the grazing angles of a training beyond which a warning is given
+_GROUND_CELLS = 3.0  # standard deviation of the smoothing that removes a picture's speckle, resolution cells
 _DECIMALS = 4  # decimals of drawn angles, degrees, so that the table of labels holds them exactly
 
 
@@ -220,6 +222,34 @@ def chips(
     number = (len(azimuths) or _AROUND) if count is None else int(count)
     between = None if grazing_deg is None else (float(grazing_deg[0]), float(grazing_deg[1]))
     return Chips(opened, number, azimuths, between, int(seed), encoding, ground, speckle, float(scatterers))
+
+
+def backdrop_of(ground: str | Path, grid: ImageGrid) -> str | Float32[np.ndarray, "r c"]:
+    """Read the ground of samples, as `Run.sample` takes it, from a picture.
+
+    `ground` is a picture with pixels of the images' size and near range at the top: amplitudes if they are whole
+    numbers, or complex; or one of the words "learned" and "uniform", which are returned. Otherwise the result is linear
+    power relative to its mean, float32 [R, C], smoothed over three resolution cells of `grid` against speckle. Raise
+    SarsplatError if the picture cannot be read, or is black.
+    """
+    if str(ground) in (LEARNED, UNIFORM):
+        return str(ground)
+    path = Path(ground)
+    if not path.suffix:
+        raise SarsplatError(f"ground is {shown(str(ground))}; give {LEARNED}, {UNIFORM} or the file of a picture")
+    pixels = read_pixels(path)
+    if pixels.dtype.kind == "f" and pixels.ndim == 2:
+        raise SarsplatError(
+            f"{path} holds {pixels.dtype} numbers, which may be amplitude or power; store amplitudes as whole numbers"
+        )
+    power = power_or_signal(pixels, likely_quantity(pixels, str(path)), str(path))
+    power = np.abs(power) ** 2 if np.iscomplexobj(power) else power
+    if not power.any():
+        raise SarsplatError(f"{path} is black; give a picture of ground")
+    sigma = [_GROUND_CELLS * grid.cell_m / spacing for spacing in reversed(grid.spacing_m)]
+    smooth = gaussian_filter(power.astype(np.float64), sigma, mode="nearest")
+    factor: Float32[np.ndarray, "r c"] = (smooth / smooth.mean()).astype(np.float32)
+    return factor
 
 
 def target_of(run: Run) -> str:
