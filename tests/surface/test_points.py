@@ -161,11 +161,9 @@ def test_bricks_change_no_bit(ball_with_a_hole: Gaussians, monkeypatch: pytest.M
     monkeypatch.setattr(Scene, "bricks", counting)
     monkeypatch.setattr(of_points, "_COARSEST", 1e-3)
     monkeypatch.setattr(of_bricks, "_SMALLEST", 8)
-    for most in (30_000, 15_000):
-        monkeypatch.setattr(of_points, "_MOST_RAYS", most)
-        parts = extract_points(twice, VIEWS, GRID, how)
-        assert sorted_rows(parts).tobytes() == sorted_rows(whole).tobytes()
-    assert 2 <= cut[0] < cut[1]
+    monkeypatch.setattr(of_points, "_MOST_RAYS", 15_000)
+    assert sorted_rows(extract_points(twice, VIEWS, GRID, how)).tobytes() == sorted_rows(whole).tobytes()
+    assert cut[0] > 4
 
 
 def test_a_voxel_that_takes_too_many_rays_is_a_brick_anyway(ball_with_a_hole: Gaussians) -> None:
