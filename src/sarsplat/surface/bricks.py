@@ -194,9 +194,8 @@ class Scene:
 
 def ray_count(gaussians: Gaussians, views: Sequence[View], rays: RayGrid) -> float:
     """Approximate number of rays of the views that cross the Gaussians' bounding box."""
-    means, reach = gaussians.means.double().cpu().numpy(), 3 * float(gaussians.scales.max()) if len(gaussians) else 0
-    total = 0.0
-    for view in views if len(means) else ():
-        sides = np.ptp(view.look.frame[:2] @ means.T, axis=1) + 2 * reach
-        total += math.prod(sides / rays.spacing_m)
-    return total
+    if not len(gaussians):
+        return 0.0
+    means, reach = gaussians.means.double().cpu().numpy(), 3 * float(gaussians.scales.max())
+    sides = (np.ptp(view.look.frame[:2] @ means.T, axis=1) + 2 * reach for view in views)
+    return sum(math.prod(side / rays.spacing_m) for side in sides)
