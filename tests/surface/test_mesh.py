@@ -120,6 +120,15 @@ def test_gamma0_counts_only_views_that_see_the_place() -> None:
     assert not any(seen.any() for seen in Seen.of(wall[:0], [there], GRID).around(means))
 
 
+def test_what_views_see_does_not_depend_on_bricks(ball: Ball, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sarsplat.surface.visibility._MOST_BYTES", 1 << 21)
+    monkeypatch.setattr("sarsplat.surface.bricks._SMALLEST", 8)
+    again = Seen.of(ball.gaussians, VIEWS[:3], GRID)
+    monkeypatch.undo()
+    for name, expected in vars(Seen.of(ball.gaussians, VIEWS[:3], GRID)).items():
+        torch.testing.assert_close(getattr(again, name), expected, rtol=1e-5, atol=1e-7)
+
+
 def test_what_floats_is_left_out(ball: Ball) -> None:
     stray = np.array([3.0, 0, 3.0]) + np.random.default_rng(0).normal(scale=0.05, size=(30, 3))
     points = np.concatenate([ball.points, stray])
