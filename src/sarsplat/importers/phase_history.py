@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from jaxtyping import Bool, Complex64, Float64
@@ -232,6 +232,6 @@ def _joined(pieces: Sequence[PhaseHistory]) -> PhaseHistory:
         return pieces[0]
     first = pieces[0]
     stated = [name for name in _OF_PULSES if getattr(first, name) is not None]
-    joined = {name: np.concatenate([getattr(piece, name) for piece in pieces]) for name in stated}
+    joined: dict[str, Any] = {name: np.concatenate([getattr(piece, name) for piece in pieces]) for name in stated}
     samples = np.concatenate([piece.samples for piece in pieces], axis=1)
     return replace(first, name=f"{first.name} … {Path(pieces[-1].name).name}", samples=samples, **joined)

@@ -227,10 +227,23 @@ def chips(
 def backdrop_of(ground: str | Path, grid: ImageGrid) -> str | Float32[np.ndarray, "r c"]:
     """Read the ground of samples, as `Run.sample` takes it, from a picture.
 
-    `ground` is a picture with pixels of the images' size and near range at the top: amplitudes if they are whole
-    numbers, or complex; or one of the words "learned" and "uniform", which are returned. Otherwise the result is linear
-    power relative to its mean, float32 [R, C], smoothed over three resolution cells of `grid` against speckle. Raise
-    SarsplatError if the picture cannot be read, or is black.
+    Parameters
+    ----------
+    ground : str or Path
+        A picture of ground, with pixels of the images' size and near range at the top: amplitudes if they are whole
+        numbers, or complex; or one of the words "learned" and "uniform", which are returned.
+    grid : ImageGrid
+        Grid of the images: speckle is smoothed over three of its resolution cells.
+
+    Returns
+    -------
+    str or numpy.ndarray, float32 [R, C]
+        The word; or linear power without speckle, relative to its mean.
+
+    Raises
+    ------
+    SarsplatError
+        If the picture cannot be read, or is black.
     """
     if str(ground) in (LEARNED, UNIFORM):
         return str(ground)
