@@ -124,6 +124,12 @@ def test_a_training_looks_at_finer_images_and_splits_what_they_ask_for(scene: Da
     assert float(trainer.gaussians.scales.max()) <= largest * (1 + 1e-6)
 
 
+def test_points_of_a_large_scene_lie_at_the_depth_of_smoothed_surfaces(scene: Dataset, coarse: Config) -> None:
+    depths = [{"points.optical_depth": 0.5, "points.smoothed_depth": depth} for depth in (5.0, 0.05)]
+    deep, shallow = (reconstruct(scene, coarse.with_settings(one), quiet=True).points for one in depths)
+    assert len(deep) < 0.8 * len(shallow)
+
+
 def test_a_training_that_stopped_on_any_level_goes_on_the_same(scene: Dataset, coarse: Config) -> None:
     whole = trained(scene, coarse, coarse.iterations).snapshot(0.0)
     for stop in (4, 9, 10):

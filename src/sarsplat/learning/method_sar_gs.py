@@ -236,6 +236,8 @@ class GaussianReconstruction(Reconstruction):
     def points(self) -> Float32[np.ndarray, "p 3"]:
         """First returns of rays, or centres, as configured."""
         how, views = self.config.points, self.snapshot.views
+        if how.method == "rays" and self.model.levels.coarsest > 1:
+            how = replace(how, optical_depth=how.smoothed_depth)
         if views[0].aloft:
             how = replace(how, min_height=_NO_GROUND)
         terrain = self.model.frame.terrain

@@ -44,7 +44,7 @@ PRESETS: dict[str, Config] = {
         fine_from=1.0,
         rates=Rates(means=0.33),
         relocation=Relocation(idle_share=0.01),
-        points=PointExtraction(voxel=0.067, behind=0.25),
+        points=PointExtraction(optical_depth=0.5, voxel=0.067, behind=0.25),
     ),
     # speckle on ground, any number of objects: few, large Gaussians, most of them dropped at each step, do not learn
     # single speckles; learning/evidence.py switches on further parts that the images need
@@ -63,13 +63,7 @@ PRESETS: dict[str, Config] = {
         fine_from=1.0,
         rates=Rates(means=0.33),
         points=PointExtraction(
-            optical_depth=0.7,
-            voxel=0.067,
-            seen_through=0.4,
-            behind=0.7,
-            seen_by=5,
-            clusters="bright",
-            cluster_radius=0.7,
+            voxel=0.067, seen_through=0.4, behind=0.7, seen_by=5, clusters="bright", cluster_radius=0.7
         ),
         relocation=Relocation(idle_share=0.01, alike_from=10.0),
         ground=FlatGround(from_images=True),

@@ -10,7 +10,17 @@ from typing import Annotated, ClassVar, Literal
 from msgspec import Meta
 
 from sarsplat.errors import SarsplatError
-from sarsplat.settings.kinds import LEAST, Count, Iteration, NotNegative, Number, Positive, RaysPerPixel, Share
+from sarsplat.settings.kinds import (
+    LEAST,
+    Count,
+    Iteration,
+    NotNegative,
+    Number,
+    OpticalDepth,
+    Positive,
+    RaysPerPixel,
+    Share,
+)
 from sarsplat.settings.record import Record
 
 
@@ -158,6 +168,8 @@ class PointExtraction(Record, prefix="points."):
         "centres": centres of the Gaussians.
     optical_depth : float
         Two-way optical depth of a first return ("rays"), or minimum κ of a Gaussian ("centres").
+    smoothed_depth : float
+        Two-way optical depth of a first return in large scenes, whose surfaces are smoothed ("rays").
     power_share : float
         Share of the power that the strongest Gaussians, which are kept, return ("centres").
     voxel : float
@@ -184,7 +196,8 @@ class PointExtraction(Record, prefix="points."):
     """
 
     method: Literal["rays", "centres"] = "rays"
-    optical_depth: Annotated[float, Meta(ge=0, le=40)] = 0.5
+    optical_depth: Annotated[float, Meta(ge=0, le=40)] = 0.7
+    smoothed_depth: OpticalDepth = 0.5
     power_share: Share = 1.0
     voxel: Positive = 0.05
     min_height: Number = 0.0
