@@ -122,7 +122,7 @@ def test_what_no_run_can_hold_is_refused(finished: Run) -> None:
         (own, {"views": []}, "at least one view"),
         (own[:0], {}, "at least one Gaussian"),
         (own.with_tensors(means=own.means * torch.nan), {}, "a Gaussian is not finite"),
-        (upright(PLACES[:1] * 0, 1e13), {}, r"pixel spacing \(20000000000000.0, .* must be a pair of metres"),
+        (upright(PLACES[:1] * 0, 1e13), {}, r"reach .* m from the origin, farther than any image shows"),
     ):
         with pytest.raises(SarsplatError, match=words):
             Run.from_gaussians(gaussians, **options)

@@ -24,6 +24,7 @@ from sarsplat.tiles import at_once
 _DEGREES = (3, 2, 1, 0)  # degrees of harmonics, largest first
 
 _PIXELS = 128
+_MAX_SPACING_M = 1e6
 _FILLED_SHARE = 0.7  # extent of the visible Gaussians relative to the width of an image
 _CELL_SIGMAS = 2.0  # resolution cell in standard deviations of a Gaussian, as after our own trainings
 _FAINT = 0.05  # optical depth below which a Gaussian is ignored in the choice of a grid
@@ -53,6 +54,11 @@ def usual_grid(gaussians: Gaussians) -> ImageGrid:
     farthest_m = float(reach[~outside.to(reach.device)].max())
     coarse_m = _CELL_SIGMAS * float(shown.scales.amax(dim=1).median())
     spacing_m = float(f"{max(2 * farthest_m / (_FILLED_SHARE * _PIXELS), coarse_m):.2g}")
+    if spacing_m > _MAX_SPACING_M:
+        raise SarsplatError(
+            f"the Gaussians reach {farthest_m:.3g} m from the origin, farther than any image shows; check their unit "
+            "and their scales, or give a grid"
+        )
     if outside.any():
         warnings.warn(
             f"{_described(shown, outside)}; images are {_PIXELS * spacing_m:.3g} m wide, for the others: remove those, "
