@@ -179,8 +179,7 @@ def open_file(path: Path) -> Iterator[BinaryIO]:
 
 def sha256_of(path: Path) -> str:
     """Return the SHA-256 of a file's content, hexadecimal."""
-    with open_file(path) as file:
-        return hashlib.sha256(file.read()).hexdigest()
+    return hashlib.sha256(read_bytes(path)).hexdigest()
 
 
 def read_json(path: Path, type: type[T]) -> T:

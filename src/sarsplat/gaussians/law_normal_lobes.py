@@ -38,6 +38,8 @@ class NormalLobes(Scattering):
     parameters : Tensor [N, 3]
         softplus of the first two is b₀, which is isotropic, and b₁; the third is the logarithm of e, which all
         Gaussians of a training may share.
+    p_min : float
+        Minimum scattering P_min ≥ 0 (γ⁰).
     """
 
     kind: ClassVar[str] = "normal-lobes"

@@ -36,6 +36,8 @@ class Polarimetric(Scattering):
         Column 0 is a_0 and the last K − 1 are the other coefficients of γ⁰ = p_min + softplus(Σ_k a_k Y_k(u)) in K = 1,
         4, 9 or 16 harmonics. Between them are the P² numbers of L: softplus of the first P is its diagonal, then come
         the real and the imaginary parts below the diagonal, row by row.
+    p_min : float
+        Minimum scattering P_min ≥ 0 (γ⁰).
     polarisations : tuple of str
         Received and transmitted polarisation, such as "HV"; 2 to 4 pairs.
     """

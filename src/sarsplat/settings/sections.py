@@ -167,9 +167,10 @@ class PointExtraction(Record, prefix="points."):
         "rays": first returns of rays from the training views and from halfway between neighbouring ones;
         "centres": centres of the Gaussians.
     optical_depth : float
-        Two-way optical depth of a first return ("rays"), or minimum κ of a Gaussian ("centres").
+        Two-way optical depth of a first return ("rays") of targets that are learned at full resolution alone, or
+        minimum κ of a Gaussian ("centres").
     smoothed_depth : float
-        Two-way optical depth of a first return in large scenes, whose surfaces are smoothed ("rays").
+        The optical depth of a first return ("rays") instead, where a training begins with blocks of pixels.
     power_share : float
         Share of the power that the strongest Gaussians, which are kept, return ("centres").
     voxel : float
