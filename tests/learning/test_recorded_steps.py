@@ -22,7 +22,7 @@ from sarsplat.learning.strategies.growth import Relocating
 from sarsplat.renderer.engines import bounds, cuda_device
 from sarsplat.settings.sections import Bounce, Densification, FlatGround, Relocation, Smoothing, Surroundings
 
-STEPS = 20
+STEPS, MORE = 16, 20  # more where more is recorded anew
 SELDOM = Surroundings(texture_rounds=2, azimuth_rounds=2)
 DENSITY = Densification(3, 12, 5, gradient=1e-4, split_above=0.16, min_scattering=0.01, max_gaussians=300)
 
@@ -43,12 +43,12 @@ CONFIGS = {
     "quick": small("quick"),
     "speckled": small("speckled"),
     "paper": small("paper", views_per_step=1),
-    "measured": small("measured", harmonics_every=14, surroundings=SELDOM),
-    "azimuths": small("measured", harmonics_every=STEPS, views_per_step=3, surroundings=SELDOM),
+    "measured": small("measured", iterations=MORE, harmonics_every=14, surroundings=SELDOM),
+    "azimuths": small("measured", iterations=MORE, harmonics_every=MORE, views_per_step=3, surroundings=SELDOM),
     "ground": small("default", ground=FlatGround()),
     "ground of one kind": small("quick", ground=FlatGround(pitch=0.0), views_per_step=3),
     "terrain": small("default", ground=FlatGround(), coarsest=1),
-    "density": small("paper", harmonics_every=STEPS, densification=DENSITY),
+    "density": small("paper", iterations=MORE, harmonics_every=MORE, densification=DENSITY),
     "levels": small(
         "default", harmonics_every=STEPS, coarsest=2, relocation=Relocation(rounds=8), smoothing=Smoothing(rounds=8)
     ),
@@ -77,7 +77,8 @@ def test_replayed_steps(
     by_itself, launched = (Trainer(dataset, CONFIGS[name]) for _ in range(2))
     launched.records, records = False, 0
     kept: list[tuple[dict[str, Tensor], dict[str, float]]] = []
-    for step in range(STEPS):
+    steps = CONFIGS[name].iterations
+    for step in range(steps):
         losses = [trainer.step() for trainer in (by_itself, launched)]
         assert torch.equal(*losses), step
         if recorder.records > records:
@@ -88,7 +89,7 @@ def test_replayed_steps(
     for terms, were in kept:  # which no later step has overwritten
         assert {name: float(term) for name, term in terms.items()} == were
     assert by_itself.records
-    assert recorder.replays > STEPS // 2
+    assert recorder.replays > steps // 2
     assert_same(by_itself.snapshot(0.0), launched.snapshot(0.0))
 
 
