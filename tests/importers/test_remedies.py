@@ -147,10 +147,10 @@ def _templates() -> Iterator[re.Pattern[str]]:
     """Sentences of these rooms that name an argument, as patterns."""
     for room in ("importers", "data", "exports", "examination", "gaussians"):
         for path in (ROOT / "src" / "sarsplat" / room).rglob("*.py"):
-            tree = ast.parse(path.read_text())
-            parts = {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in ast.walk(node)}
-            docs = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
-            for node in ast.walk(tree):
+            nodes = [*ast.walk(ast.parse(path.read_text()))]
+            parts = {id(part) for node in nodes if isinstance(node, ast.JoinedStr) for part in ast.walk(node)}
+            docs = {id(node.value) for node in nodes if isinstance(node, ast.Expr)}
+            for node in nodes:
                 match node:
                     case ast.JoinedStr(values):
                         text = "".join(str(v.value) if isinstance(v, ast.Constant) else "\0" for v in values)
