@@ -26,7 +26,7 @@ from sarsplat.surface.neighbours import Neighbours
 from sarsplat.surface.normals import surface_normals
 from sarsplat.surface.visibility import Seen
 
-RING = [View(azimuth, grazing) for azimuth in range(7, 360, 60) for grazing in (25.0, 50.0)]
+RING = [View(azimuth, grazing) for azimuth in range(7, 360, 90) for grazing in (25.0, 50.0)]
 
 
 class Scene(NamedTuple):
