@@ -229,8 +229,9 @@ def exponents(run: Run) -> torch.Tensor:
 
 def test_the_exponent_follows_the_images_and_is_one_for_all(dataset: Dataset, config: Config) -> None:
     quicker = replace(config, iterations=120, rates=replace(config.rates, law=0.06))
-    settings = (8.0, quicker), (2.0, quicker), (8.0, replace(config, law_penalty=100.0))
-    narrow, wide, held = (exponents(reconstruct(slanted(dataset, e), one, quiet=True)) for e, one in settings)
+    sharp, blunt, penalised = slanted(dataset, 8.0), slanted(dataset, 2.0), replace(config, law_penalty=100.0)
+    settings = (sharp, quicker), (blunt, quicker), (sharp, penalised)
+    narrow, wide, held = (exponents(reconstruct(images, one, quiet=True)) for images, one in settings)
     assert narrow.unique().numel() == wide.unique().numel() == 1
     assert narrow[0] > 4.0 > 3.5 > wide[0] > 1.4
     assert float(held[0]) == pytest.approx(2.0, rel=0.05)
