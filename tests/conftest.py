@@ -37,15 +37,23 @@ def pytest_collection_finish() -> None:
 
 @pytest.fixture(scope="module", autouse=True)
 def few_samples() -> Iterator[None]:
-    """Runs are scored with 5000 samples of each surface instead of a million, and shown in fewer pixels."""
+    """Runs are scored with 5000 samples of each surface instead of a million, and shown in fewer pixels.
+
+    Previews of imports have one image: drawing twelve takes longer than the imports.
+    """
     from sarsplat.evaluation.surface import visible_surface
+    from sarsplat.report.sheet import check_sheet
 
     def coarse(mesh: Any, views: Any, ray_spacing: float, advanced: Any) -> Any:
         return visible_surface(mesh, views, ray_spacing=5 * ray_spacing, samples=5000, advanced=advanced)
 
+    def of_one(dataset: Any, most: int = 1, orientations: Any = ()) -> bytes:
+        return check_sheet(dataset, most, orientations)
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("sarsplat.evaluation.evaluate.visible_surface", coarse)
         patch.setattr("sarsplat.evaluation.evaluate._MESH_SAMPLES", 5000)
+        patch.setattr("sarsplat.report.sheet.check_sheet", of_one)
         patch.setattr("sarsplat.report.write._SURFACE_SAMPLES", 500)
         patch.setattr("sarsplat.report.boards._PIXELS", 40)
         patch.setattr("sarsplat.report.widget._MOST_RENDERED", 3000)

@@ -4,19 +4,9 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Iterator
-from functools import cache, partial
+from functools import cache
 
 import pytest
-
-
-@pytest.fixture(scope="module", autouse=True)
-def small_previews() -> Iterator[None]:
-    """Of one image: sheets of twelve take longer than the imports."""
-    from sarsplat.report import sheet
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sheet, "check_sheet", partial(sheet.check_sheet, most=1))
-        yield
 
 
 @pytest.fixture(scope="session", autouse=True)
