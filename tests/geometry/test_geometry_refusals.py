@@ -12,7 +12,7 @@ from refusals import Do, Refusals
 from sarsplat import DatasetEntry, ImageGrid, Place, RayGrid, SarsplatError, ScatteringLaw, Stack, Terrain, Turn, View
 from sarsplat.samples.encoding import Encoding
 
-TURN, PLACE = Turn((0, 0, 1), 5.0), Place(1.0, 2.0, 3.0)
+TURN, PLACE, OBLONG = Turn((0, 0, 1), 5.0), Place(1.0, 2.0, 3.0), ImageGrid(90, 91, (0.5, 0.5), (0.6, 0.5))
 NONE: list[object] = [
     *("abc", None, (1.0, 2.0), [1, [2], 3], ["1", "2", "3"], np.array(["a", "b", "c"])),
     *(np.array([True, True, False]), np.array([1j, 0, 1]), np.array([None, 1, 2]), (0, 0, 0), (np.nan, 0, 1)),
@@ -84,6 +84,7 @@ REFUSED: Refusals = [
     grid("rows is 4.0; give a whole number", rows=4.0),
     grid("an image of 0 × 4 pixels is empty", rows=0),
     grid("4 × 131073 pixels is empty or too large", columns=131_073),
+    (lambda _: OBLONG.multilooked(91), "90 × 91 pixels has no blocks of 91 × 91; give a factor from 1 to 90"),
     (lambda _: RayGrid((0.0, 0.1)), r"ray spacing \(0.0, 0.1\) must be"),
     stack("wavelength_m is 0.0; give 0.0001 to 100 metres", wavelength_m=0.0),
     *(stack("offsets_rad is .*b/R in radians", offsets_rad=bad) for bad in ((), (0.0, 0.3), (0.0, math.nan))),

@@ -101,11 +101,6 @@ def test_a_scene_on_the_coarse_grid_is_what_the_means_show(scene: Dataset, facto
     assert error(replace(looked.grid, resolution_m=GRID.resolution_m)) > 2 * error(looked.grid)
 
 
-def test_blocks_are_no_larger_than_the_image() -> None:
-    with pytest.raises(SarsplatError, match="90 × 91 pixels has no blocks of 91 × 91; give a factor from 1 to 90"):
-        GRID.multilooked(91)
-
-
 def test_a_training_looks_at_finer_images_and_splits_what_they_ask_for(scene: Dataset, coarse: Config) -> None:
     trainer, seen = Trainer(scene, coarse), []
     largest = float(trainer.gaussians.scales.max())
