@@ -128,15 +128,12 @@ def told(path: str, **about: Unpack[About]) -> str:
     return "done"
 
 
-def test_options_that_are_named_elsewhere_are_checked_too() -> None:
+def test_options_named_elsewhere_and_arguments_by_position_are_checked_too() -> None:
     assert told("a") == told("a", side=VIEW) == told("a", side=None) == "done"
     with pytest.raises(SarsplatError, match=r"^side is 3; give a View\("):
         told("a", side=3)
     with pytest.raises(TypeError, match=r"told\(\) got an unexpected keyword argument 'sid'"):
         told("a", **{"sid": VIEW})  # type: ignore[arg-type]
-
-
-def test_arguments_by_position_are_checked_too() -> None:
     with pytest.raises(SarsplatError, match=r"^views is None"):
         sample(VIEW, None)
 
