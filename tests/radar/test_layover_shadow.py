@@ -92,14 +92,11 @@ def test_the_rims_of_holes_in_a_plateau_are_as_the_plateau(azimuth: float) -> No
     assert (layover_shadow(np.full((4, 4), np.nan), (1.0, 1.0), View(azimuth, 40)) == UNKNOWN).all()
 
 
-def test_left_looking_is_the_same_and_tilted_views_are_refused() -> None:
+def test_left_looking_is_the_same_and_tilted_views_and_large_maps_are_refused() -> None:
     right, left = (layover_shadow(box(), (PITCH, PITCH), View(20, 40, side=side)) for side in ("right", "left"))
     np.testing.assert_array_equal(right, left)
     with pytest.raises(SarsplatError, match="level view"):
         layover_shadow(box(), (PITCH, PITCH), View(20, 40, tilt_deg=10))
-
-
-def test_maps_that_are_too_large_are_refused() -> None:
     with pytest.raises(SarsplatError, match="too large for layover and shadow"):
         layover_shadow(np.zeros((30, 40)), (0.001, 1000.0), View(20, 40))
 

@@ -140,10 +140,12 @@ def test_the_maps_of_nothing_are_empty():
     assert not maps.shadow.any()
 
 
-def test_every_gaussian_needs_a_normal():
+def test_normals_of_other_gaussians_and_pixels_outside_are_refused():
     one = upright(torch.zeros(1, 3))
     with pytest.raises(SarsplatError, match=r"normals has shape \(2, 3\); for 1 Gaussians it must be \(1, 3\)"):
         Surface(one, np.zeros((2, 3)))
+    with pytest.raises(SarsplatError, match="there is no pixel in row 32 and column 0 of an image of 32 × 24"):
+        contributions(balls(np.zeros((1, 3))), LOOK, PIXELS, Pixel(32, 0))
 
 
 def test_aloft_there_is_no_shadow_and_the_target_is_seen_from_below() -> None:
@@ -233,8 +235,3 @@ def test_what_returns_by_way_of_the_ground_adds_up_to_the_pixel_of_that_echo():
         assert float(parts.sum()) == pytest.approx(float(image[pixel.row, pixel.column]), rel=1e-4, abs=1e-7)
     assert float(image[16, 12]) > 0
     assert not parts[scene.means[:, 2].numpy() < -0.5].any()
-
-
-def test_a_pixel_outside_is_refused():
-    with pytest.raises(SarsplatError, match="there is no pixel in row 32 and column 0 of an image of 32 × 24"):
-        contributions(balls(np.zeros((1, 3))), LOOK, PIXELS, Pixel(32, 0))
