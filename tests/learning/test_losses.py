@@ -89,13 +89,17 @@ def test_speckle_likelihood_is_best_at_the_mean_intensity() -> None:
     assert float(levels[losses.argmin()]) == pytest.approx(float(intensity.mean()), abs=0.06)
 
 
-def test_speckle_of_a_target_alone_has_a_likelihood_where_the_image_is_black() -> None:
+@pytest.mark.parametrize("name", ["speckled", "scene"])
+def test_speckle_has_a_bounded_likelihood_where_images_are_black(name) -> None:
     power, _ = pair(2, 20, 20)
+    power[:, :, ::4] = 0.0
     rendered = torch.where(power > power.median(), power, 0.0).requires_grad_()
-    loss = named_loss(preset("speckled"), float(power.max()), 1.0)
+    loss = named_loss(replace(preset(name), total_power=0.0), float(power.max()), 1.0)
     value = loss(rendered, power)
     value.backward()
-    assert (rendered.grad < 0)[(rendered == 0) & (power > 0)].all()  # what is missing is asked for
+    slope = rendered.grad / rendered.grad.abs().max()
+    assert (slope < 0)[(rendered == 0) & (power > 0)].all()  # what is missing is asked for
+    assert (slope.abs() < 1e-6)[power == 0].all()  # darker shadows are not
     assert value > loss(power, power)
 
 

@@ -26,6 +26,7 @@ _SHARE = 0.1  # length of the trial, relative to the training
 _PIXELS = 256  # side of the images of the trial at most: larger ones are multilooked
 _SMOOTHED_DROPOUT = 0.4  # dropout where there are coarser levels, at which smoothed surfaces average speckle already
 _SMOOTHED_PENALTY = 0.3  # penalty there for scattering that differs, for the same reason
+_SMOOTHED_FLOOR = 0.01  # power added there to images: for darker shadows, smoothed surfaces are deformed as a whole
 _ONE_SIDED = 0.5  # length of the views' mean horizontal direction, 0 to 1, from which on layover looks like ground
 _FEWEST = 4  # minimum number of images, and of gains: fewer do not separate gains from the ground's power law in sin θ
 _GROUND_DB = 1.5  # maximum distance of ground pixels from the rendering's median, dB
@@ -66,7 +67,8 @@ def chosen(dataset: Dataset) -> Config:
         sides = np.array([view.direction[:2] for view in train.views])
         around = np.linalg.norm(sides.sum(0)) < _ONE_SIDED * np.linalg.norm(sides, axis=1).sum()
         ground = FlatGround(from_images=bool(around))
-        scene = replace(scene, dropout=_SMOOTHED_DROPOUT, scattering_penalty=_SMOOTHED_PENALTY, ground=ground)
+        scene = replace(scene, dropout=_SMOOTHED_DROPOUT, scattering_penalty=_SMOOTHED_PENALTY)
+        scene = replace(scene, speckle_floor=_SMOOTHED_FLOOR, ground=ground)
     images = counted(len(train), "image")
     summary = f"gains of images differ by {found.gain_std_db:.2g} dB, {found.displaced} of {images} displaced"
     if found.nats >= 0:

@@ -23,9 +23,6 @@ Loss = Callable[[Tensor, Tensor], Tensor]
 FLOOR = 1e-3
 """Amplitude below which the square root is smoothed, relative to the reference: its slope is infinite at 0."""
 
-SPECKLE_FLOOR = 1e-4
-"""Power added to images without ground before the logarithm, relative to the brightest pixel."""
-
 SSIM_WINDOW = 11
 SSIM_STD = 1.5
 C1, C2 = 0.01**2, 0.03**2
@@ -140,12 +137,9 @@ def _amplitude(config: Config, brightest: float, unit: float) -> Loss:
 
 
 def _speckle(config: Config, brightest: float, unit: float) -> Loss:
-    if config.surroundings:  # the model has a noise floor
-        return lambda rendered, truth: speckle_loss(rendered / unit, truth / unit)
-
     def loss(rendered: Tensor, truth: Tensor) -> Tensor:
-        power, intensity, weight = rendered / brightest, truth / brightest, config.total_power
-        likelihood = speckle_loss(power + SPECKLE_FLOOR, intensity + SPECKLE_FLOOR)
+        power, intensity, weight = rendered / unit, truth / unit, config.total_power
+        likelihood = speckle_loss(power + config.speckle_floor, intensity + config.speckle_floor)
         return likelihood + weight * total_power_loss(power, intensity) if weight else likelihood
 
     return loss

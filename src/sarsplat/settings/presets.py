@@ -61,7 +61,7 @@ PRESETS: dict[str, Config] = {
         initial_scale=0.27,
         scale_bounds=(0.2, 0.83),
         fine_from=1.0,
-        rates=Rates(means=0.33),
+        rates=Rates(means=0.33, nuisance=0.03),
         points=PointExtraction(
             voxel=0.067, seen_through=0.4, behind=0.7, seen_by=5, clusters="bright", cluster_radius=0.7
         ),
