@@ -89,7 +89,7 @@ def test_speckle_likelihood_is_best_at_the_mean_intensity() -> None:
     assert float(levels[losses.argmin()]) == pytest.approx(float(intensity.mean()), abs=0.06)
 
 
-@pytest.mark.parametrize("name", ["speckled", "scene"])
+@pytest.mark.parametrize("name", ["speckled", "scene", "measured"])
 def test_speckle_has_a_bounded_likelihood_where_images_are_black(name) -> None:
     power, _ = pair(2, 20, 20)
     power[:, :, ::4] = 0.0

@@ -31,9 +31,7 @@ _ONE_SIDED = 0.5  # length of the views' mean horizontal direction, 0 to 1, from
 _FEWEST = 4  # minimum number of images, and of gains: fewer do not separate gains from the ground's power law in sin θ
 _GROUND_DB = 1.5  # maximum distance of ground pixels from the rendering's median, dB
 _TARGET_DB = 6.0  # minimum level of target pixels above that median, dB
-
-_GAIN_DB = 0.25
-"""Minimum standard deviation of gains that are learned, dB: roads and dense scenes leave up to 0.2 dB in a trial."""
+_GAIN_DB = 0.25  # minimum standard deviation of gains that are learned, dB: roads and dense scenes leave up to 0.2 dB
 
 
 @dataclass(frozen=True)
@@ -67,8 +65,8 @@ def chosen(dataset: Dataset) -> Config:
         sides = np.array([view.direction[:2] for view in train.views])
         around = np.linalg.norm(sides.sum(0)) < _ONE_SIDED * np.linalg.norm(sides, axis=1).sum()
         ground = FlatGround(from_images=bool(around))
-        scene = replace(scene, dropout=_SMOOTHED_DROPOUT, scattering_penalty=_SMOOTHED_PENALTY)
-        scene = replace(scene, speckle_floor=_SMOOTHED_FLOOR, ground=ground)
+        scene = replace(scene, dropout=_SMOOTHED_DROPOUT, scattering_penalty=_SMOOTHED_PENALTY, ground=ground)
+        scene = scene.with_settings({"surroundings.speckle_floor": _SMOOTHED_FLOOR})
     images = counted(len(train), "image")
     summary = f"gains of images differ by {found.gain_std_db:.2g} dB, {found.displaced} of {images} displaced"
     if found.nats >= 0:
@@ -76,9 +74,8 @@ def chosen(dataset: Dataset) -> Config:
     summary = f"{summary} ({found.nats:.4f} nats per pixel)"
     if not multilevel:
         return replace(PRESETS["measured"], evidence=f"measured: {summary}")
-    assert scene.surroundings is not None
-    nuisances = Surroundings(noise_floor=scene.surroundings.noise_floor)
-    scene = replace(scene, surroundings=nuisances, scattering_penalty=0.0)
+    kept = {name: getattr(scene.surroundings, name) for name in ("noise_floor", "speckle_floor")}
+    scene = replace(scene, surroundings=Surroundings(**kept), scattering_penalty=0.0)
     return replace(scene, evidence=f"scene with nuisances of each image: {summary}")
 
 

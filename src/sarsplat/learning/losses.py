@@ -23,6 +23,9 @@ Loss = Callable[[Tensor, Tensor], Tensor]
 FLOOR = 1e-3
 """Amplitude below which the square root is smoothed, relative to the reference: its slope is infinite at 0."""
 
+SPECKLE_FLOOR = 1e-4
+"""Power added to images without ground before the logarithm, relative to the brightest pixel."""
+
 SSIM_WINDOW = 11
 SSIM_STD = 1.5
 C1, C2 = 0.01**2, 0.03**2
@@ -65,7 +68,7 @@ class AmplitudeLoss(Operation):
     def plain(self, power: Images, truth: Images) -> Float[Tensor, ""]:
         rendered = (power / self.reference**2 + FLOOR**2).sqrt() - FLOOR
         true = truth.sqrt() / self.reference
-        absolute = _mean((rendered - true).abs())
+        absolute = _means((rendered - true).abs()).mean(0)
         if self.ssim_weight == 0:
             return absolute
         return (1 - self.ssim_weight) * absolute + self.ssim_weight * (1 - structural_similarity(rendered, true))
@@ -84,7 +87,7 @@ def structural_similarity(a: Images, b: Images) -> Float[Tensor, ""]:
     mean_a, mean_b, aa, bb, ab = (_blurred(maps) for maps in (a, b, a * a, b * b, a * b))
     var_a, var_b, cov = aa - mean_a**2, bb - mean_b**2, ab - mean_a * mean_b
     similarity = (2 * mean_a * mean_b + C1) * (2 * cov + C2)
-    return _mean(similarity / ((mean_a**2 + mean_b**2 + C1) * (var_a + var_b + C2)))
+    return _means(similarity / ((mean_a**2 + mean_b**2 + C1) * (var_a + var_b + C2))).mean(0)
 
 
 def _blurred(images: Images) -> Float[Tensor, "v fewer_rows fewer_columns"]:
@@ -122,10 +125,6 @@ def total_power_loss(power: Images, intensity: Images) -> Float[Tensor, ""]:
     return (((rendered - true) / mean) ** 2).mean(0)
 
 
-def _mean(images: Images) -> Float[Tensor, ""]:
-    return _means(images).mean(0)
-
-
 def _means(images: Images) -> Float[Tensor, " v"]:
     """Mean of each image, dimension by dimension: the bits of a sum to one number would depend on torch's threads."""
     return images.mean(2).mean(1)
@@ -137,9 +136,13 @@ def _amplitude(config: Config, brightest: float, unit: float) -> Loss:
 
 
 def _speckle(config: Config, brightest: float, unit: float) -> Loss:
+    if config.surroundings:  # the model has a noise floor
+        floor = config.surroundings.speckle_floor
+        return lambda rendered, truth: speckle_loss(rendered / unit + floor, truth / unit + floor)
+
     def loss(rendered: Tensor, truth: Tensor) -> Tensor:
-        power, intensity, weight = rendered / unit, truth / unit, config.total_power
-        likelihood = speckle_loss(power + config.speckle_floor, intensity + config.speckle_floor)
+        power, intensity, weight = rendered / brightest, truth / brightest, config.total_power
+        likelihood = speckle_loss(power + SPECKLE_FLOOR, intensity + SPECKLE_FLOOR)
         return likelihood + weight * total_power_loss(power, intensity) if weight else likelihood
 
     return loss

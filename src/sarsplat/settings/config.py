@@ -107,11 +107,8 @@ class Config(AnyConfig):
     ssim_weight : float
         Weight of SSIM in the loss on amplitudes; L1 has the rest.
     total_power : float
-        Weight in "speckle" of the squared relative difference of total powers of rendered and true images: without it,
-        glints are too dark.
-    speckle_floor : float
-        Power added in "speckle" to rendered and true images, in `unit`: otherwise the likelihood of shadows without
-        noise has no upper bound, and surfaces are deformed for shadows that are a little darker.
+        Weight in "speckle", for targets without surroundings, of the squared relative difference of total powers of
+        rendered and true images: without it, glints are too dark.
     scattering : str
         Scattering law: "harmonics", "normal-lobes", or another that is registered.
     p_min : float
@@ -215,7 +212,6 @@ class Config(AnyConfig):
     loss: str = "amplitude"
     ssim_weight: NotNegative = 0.0
     total_power: NotNegative = 0.0
-    speckle_floor: Positive = 0.001
     scattering: str = "normal-lobes"
     p_min: NotNegative = 0.03
     unit: Literal["image", "target"] = "image"

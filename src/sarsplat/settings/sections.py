@@ -258,6 +258,9 @@ class Surroundings(Record, prefix="surroundings."):
     ----------
     noise_floor : float
         Initial additive power, in `Config.unit`, like `p_min` and every γ⁰.
+    speckle_floor : float
+        Power added to rendered and true images in the likelihood of speckle, in `Config.unit`: otherwise that of
+        shadows without noise has no upper bound, and surfaces are deformed for shadows that are a little darker.
     shift_std : float
         Prior standard deviation of an image's shift, in resolution cells.
     gain_std : float
@@ -289,6 +292,7 @@ class Surroundings(Record, prefix="surroundings."):
     )
 
     noise_floor: Positive = 0.05
+    speckle_floor: NotNegative = 0.001
     shift_std: NotNegative = 1.0
     gain_std: NotNegative = 1.0
     side_lobes: NotNegative = 1.0

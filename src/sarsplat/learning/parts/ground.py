@@ -21,9 +21,7 @@ from sarsplat.renderer.echoes import Echo
 
 _FAINTEST = 0.01  # minimum initial level, relative to the mean power: a logarithm could not rise from black images
 _MAX_SIDE = 512  # maximum number of places along a side of the γ⁰ map
-
-_MIN_SPREAD = 0.05
-"""Minimum standard deviation of log sin θ (1° at 17°) at which the law of the grazing angle is learned."""
+_MIN_SPREAD = 0.05  # minimum standard deviation of log sin θ (1° at 17°) from which on its exponent is learned
 
 
 class FlatGroundPart(Part):
