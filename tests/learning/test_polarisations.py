@@ -49,7 +49,7 @@ def polarimetric(tmp_path_factory) -> Dataset:
 @pytest.fixture(scope="module")
 def run(polarimetric, tmp_path_factory) -> Run:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(PRESETS, "polarimetric", replace(preset("polarimetric"), iterations=120, gaussians=1500))
+        patch.setitem(PRESETS, "polarimetric", replace(preset("polarimetric"), iterations=240, gaussians=2500))
         return reconstruct(polarimetric, out=tmp_path_factory.mktemp("run") / "run", quiet=True)
 
 
@@ -75,18 +75,12 @@ def test_block_and_ground_return_as_they_do(run):
         run.sample(VIEWS[0])
 
 
-@pytest.mark.slow
-def test_covariances_have_the_units_of_the_images(polarimetric):
-    longer = replace(preset("polarimetric"), iterations=240, gaussians=2500)
-    found = reconstruct(polarimetric, longer, quiet=True).render_covariances(VIEWS, polarimetric.stacks)
+def test_covariances_are_rendered_in_the_units_of_the_images(run, polarimetric):
+    found = run.render_covariances(VIEWS, polarimetric.stacks)
     measured = polarimetric.signal[:, :, None] * polarimetric.signal[:, None].conj()
     sums = [np.asarray(each).mean((0, 3, 4)) for each in (found, measured)]
     assert np.linalg.norm(sums[0] - sums[1]) < 0.2 * np.linalg.norm(sums[1])  # priors make it up to 1 dB too dark
     assert np.linalg.norm(per_power(sums[0]) - per_power(sums[1])) < 0.05
-
-
-def test_covariances_are_rendered_for_some_polarisations(run, polarimetric):
-    found = run.render_covariances(VIEWS, polarimetric.stacks)
     alone = run.render_covariances(VIEWS[:1], Stack(0.24, (0.0,), polarisations=("VV",)))
     np.testing.assert_allclose(alone[0, 0, 0].real + 0, found[0, 2, 2].real, rtol=0.05, atol=2 * NOISE)
     with pytest.raises(SarsplatError, match="a stack has the polarisations RR, and the Gaussians' scattering has HH"):
