@@ -28,8 +28,8 @@ SURFACES = Experiment(
     "Clean images without ground unless said, 24 views (12 azimuths at 35 and 50°), images of 352 × 352 pixels of "
     "0.3 m, flat roofs 640 × 640; with the settings that `reconstruct` takes by itself. Points against the visible "
     "surface. Settings were chosen by other scenes; the tanks, the ship and trees were seen meanwhile, and hangars "
-    "with 4 looks helped to choose when the law is learned and, on ground, that `scene` keeps hidden Gaussians. Times "
-    "are not of a quiet machine. The paper has no figures for these.",
+    "with 4 looks helped to choose when the law is learned, the floor of `speckled` and, on ground, that `scene` keeps "
+    "hidden Gaussians. Times are not of a quiet machine. The paper has no figures for these.",
     (
         *(_row(scene, scene) for scene in KINDS),
         *(_row("vaulted hangars", f"vaulted hangars: {label}", **options) for label, options in ALSO.items()),

@@ -143,11 +143,13 @@ def test_images_of_one_scale_and_place_need_no_nuisances_at_any_scale_of_all(sce
     assert chosen(louder) == config
 
 
-def test_ground_of_large_scenes_starts_uniform_from_one_side(scene: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_large_scenes_have_settings_of_their_own(scene: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(scene_frame, "_MIN_ACROSS", 3)  # so that the box is large
     for images, around in ((16, True), (6, False)):
         part = replace(scene, entries=scene.entries[:images], power=scene.power[:images])
         assert cast(Any, chosen(part).ground).from_images is around
+    of = [cast(Any, chosen(images).surroundings) for images in (scene, gained(scene))]
+    assert [(one.gain_std > 0, one.speckle_floor) for one in of] == [(False, 0.01), (True, 0.01)]
 
 
 def test_chips_with_gains_of_their_own_are_measured_ones(scene: Dataset) -> None:

@@ -88,6 +88,13 @@ def test_absent_settings_take_their_defaults(path: str, default: object) -> None
     assert attrgetter(path)(Config.from_dict(data)) == default
 
 
+def test_runs_of_before_there_was_a_floor_go_on_without() -> None:
+    data = changed("surroundings", {"noise_floor": 0.05})
+    assert Config.of_run(data, "").surroundings == Surroundings(speckle_floor=0.0)
+    del data["surroundings"]
+    assert Config.of_run(data, "").surroundings is None
+
+
 @pytest.mark.parametrize("data", [None, 3, [], "text"])
 def test_what_is_no_record_at_all(data: object) -> None:
     with pytest.raises(SarsplatError, match="not a set of settings"):

@@ -24,7 +24,7 @@ FLOOR = 1e-3
 """Amplitude below which the square root is smoothed, relative to the reference: its slope is infinite at 0."""
 
 SPECKLE_FLOOR = 1e-4
-"""Power added to images without ground before the logarithm, relative to the brightest pixel."""
+"""Power added before the logarithm without `Surroundings`, relative to the brightest pixel."""
 
 SSIM_WINDOW = 11
 SSIM_STD = 1.5

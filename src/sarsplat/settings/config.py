@@ -67,8 +67,8 @@ class AnyConfig(Record):
     @classmethod
     def of_run(cls, settings: Mapping[str, Any], source: str) -> Self:
         """Read the settings of a run's file, maybe of an earlier version; errors as `from_dict`."""
-        sections = ((name, values, settings.get(name, {})) for name, values in cls.before.items())
-        older = {name: {**values, **given} for name, values, given in sections if isinstance(given, Mapping)}
+        given = {key: getattr(cls, key) and {} for key in cls.before} | {**settings}
+        older = {key: {**old, **given[key]} for key, old in cls.before.items() if isinstance(given[key], Mapping)}
         return cls.from_dict({**settings, **older}, source)
 
 
@@ -197,7 +197,7 @@ class Config(AnyConfig):
     """
 
     may_change: ClassVar[tuple[str, ...]] = (*AnyConfig.may_change, PointExtraction._prefix)
-    before: ClassVar[Mapping[str, Mapping[str, Any]]] = {"smoothing": {"rounds": 0, "alike": 0.0, "collective": 0.0}}
+    before: ClassVar = {"smoothing": {"rounds": 0, "alike": 0, "collective": 0}, "surroundings": {"speckle_floor": 0}}
 
     preset: str = "default"
     iterations: Count = 900

@@ -259,8 +259,8 @@ class Surroundings(Record, prefix="surroundings."):
     noise_floor : float
         Initial additive power, in `Config.unit`, like `p_min` and every γ⁰.
     speckle_floor : float
-        Power added to rendered and true images in the likelihood of speckle, in `Config.unit`: otherwise that of
-        shadows without noise has no upper bound, and surfaces are deformed for shadows that are a little darker.
+        Power added to rendered and true images in the loss "speckle", in `Config.unit`: otherwise shadows without
+        noise are likelier the darker they are rendered, without end, and surfaces are deformed for it.
     shift_std : float
         Prior standard deviation of an image's shift, in resolution cells.
     gain_std : float
