@@ -75,7 +75,8 @@ def chosen(dataset: Dataset) -> Config:
     if not multilevel:
         return replace(PRESETS["measured"], evidence=f"measured: {summary}")
     kept = {name: getattr(scene.surroundings, name) for name in ("noise_floor", "speckle_floor")}
-    scene = replace(scene, surroundings=Surroundings(**kept), scattering_penalty=0.0)
+    rates = replace(scene.rates, nuisance=PRESETS["measured"].rates.nuisance)  # side lobes and gains are slower
+    scene = replace(scene, surroundings=Surroundings(**kept), scattering_penalty=0.0, rates=rates)
     return replace(scene, evidence=f"scene with nuisances of each image: {summary}")
 
 
