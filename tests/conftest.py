@@ -37,10 +37,7 @@ def pytest_collection_finish() -> None:
 
 @pytest.fixture(scope="module", autouse=True)
 def few_samples() -> Iterator[None]:
-    """Runs are scored with 5000 samples of each surface instead of a million, and shown in fewer pixels.
-
-    Previews of imports have one image: drawing twelve takes longer than the imports.
-    """
+    """Runs are scored with 5000 samples of each surface, not a million; pictures are small, previews have one image."""
     from sarsplat.evaluation.surface import visible_surface
     from sarsplat.report.sheet import check_sheet
 

@@ -31,8 +31,7 @@ if TYPE_CHECKING:
 
 _MAX_SECONDS = 2.0  # jbpy takes 0.7 for the 999 images that a NITF may state, and measuring coverage doubles it
 _FREE_BYTES = 96 << 20  # GDAL takes 82 MiB to open the 65,535 bands that a TIFF of 336 bytes may have
-_ROUND = 2000
-"""Inputs of one process."""
+_ROUND = 2000  # inputs of one process
 _INSTRUMENTED = ["sarsplat.data", "sarsplat.importers", "sarsplat.runs.run", "sarsplat.scenes", "tifffile", "trimesh"]
 
 

@@ -85,8 +85,7 @@ def without_barrier(library: Path, file: str, which: int) -> Iterator[None]:
     left_out.line = 0
 
 
-_ONE_AT_A_TIME = threading.Lock()
-"""The emulated GPU runs one kernel after the other, whichever threads ask for them."""
+_ONE_AT_A_TIME = threading.Lock()  # the emulated GPU runs one kernel after the other, whichever threads ask for them
 
 
 class Emulator(Device):
@@ -163,8 +162,7 @@ _UNSEEN = [(Tensor, "tolist"), (Tensor, "numpy"), (Tensor, "cpu"), (torch, "from
 """The same, of which there are no operations where everything is on the CPU."""
 
 
-_RECORDING = threading.Lock()
-"""One thread records at a time, while others launch."""
+_RECORDING = threading.Lock()  # one thread records at a time, while others launch
 
 
 class EmulatedRecorder(TorchDispatchMode, Recorder):

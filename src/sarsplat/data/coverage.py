@@ -11,8 +11,7 @@ import numpy as np
 from sarsplat.data.dataset import Dataset
 from sarsplat.geometry import View
 
-_SAME_GRAZING_DEG = 1.0
-"""Maximum step of sorted grazing angles within a group."""
+_SAME_GRAZING_DEG = 1.0  # maximum step of sorted grazing angles within a group
 
 _FEW_GROUPS, _FEW_EACH = 3, 3
 """Number of groups, and their mean number of views: with more groups of fewer views, all views are one group."""

@@ -21,8 +21,7 @@ from sarsplat.errors import SarsplatError, counted, shown
 from sarsplat.geometry import ImageGrid, Place, Stack, Terrain, Turn, View
 from sarsplat.threads import convert
 
-_FARTHEST_M = 1e6
-"""Maximum coordinate of the target's box, m."""
+_FARTHEST_M = 1e6  # maximum coordinate of the target's box, m
 _MAX_AZIMUTH_STD_DEG = 10.0
 PLAIN_FIELDS = (
     *("target", "calibration", "looks", "clean_tests", "ground", "score_margin", "target_box_m", "protocol", "source"),

@@ -37,10 +37,8 @@ _REASONS = {
     errno.EFBIG: "it grows larger than the system allows; free some space or raise the limit",
 }
 
-_LARGEST_JSON = 1 << 26
-"""Maximum size of a JSON file, bytes."""
-_OURS = ".sarsplat-"
-"""Mark of temporary names, which no file of a user has."""
+_LARGEST_JSON = 1 << 26  # maximum size of a JSON file, bytes
+_OURS = ".sarsplat-"  # mark of temporary names, which no file of a user has
 BUILT = "new"
 """Kind of a folder that is being built (see `beside`)."""
 

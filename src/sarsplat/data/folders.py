@@ -17,11 +17,8 @@ from sarsplat.errors import SarsplatError
 Recognises = Callable[[bytes, int], bool]
 """Predicate of a kind of file, by its first bytes and its size."""
 
-_OLD = "old"
-"""Kind of a folder that is being replaced (see `beside`)."""
-
-_HEAD = 96
-"""Number of bytes by which a kind of file is recognised."""
+_OLD = "old"  # kind of a folder that is being replaced (see `beside`)
+_HEAD = 96  # number of bytes by which a kind of file is recognised
 
 
 @contextmanager

@@ -45,10 +45,8 @@ _ELSEWHERE = {
 }
 """Drivers of GDAL that follow a file to other files or to the net."""
 
-_STEP_M = 50.0
-"""Distance over which a map's axes are compared with east and north."""
-_SKEWED = 1e-3
-"""Maximum cosine of the angle between a map's axes on the ground."""
+_STEP_M = 50.0  # distance over which a map's axes are compared with east and north
+_SKEWED = 1e-3  # maximum cosine of the angle between a map's axes on the ground
 INEXACT_M = 1.0
 """Minimum error of a conversion to WGS 84 that is reported; ETRS89 and its like are more exact."""
 NOT_RELATED = (

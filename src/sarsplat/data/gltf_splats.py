@@ -31,15 +31,12 @@ _PREFIX = f"{EXTENSION}:"
 _KIND = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}
 _HARMONICS = [f"{_PREFIX}SH_DEGREE_{degree}_COEF_{k}" for degree in range(4) for k in range(2 * degree + 1)]
 _DEGREES = {(degree + 1) ** 2 for degree in range(4)}
-_Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
-"""Rotation from z up to y up."""
+_Y_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # rotation from z up to y up
 _FLOAT, _POINTS, _ARRAY_BUFFER = 5126, 0, 34962
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", _FLOAT: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
-_EVEN = 1e-3
-"""Tolerance of a node's scale that is the same along all axes."""
-_LEAST_BYTES = 16
-"""Minimum bytes of a file for each Gaussian: nodes that repeat a mesh may not multiply it without end."""
+_EVEN = 1e-3  # tolerance of a node's scale that is the same along all axes
+_LEAST_BYTES = 16  # minimum bytes of a file for each Gaussian: nodes that repeat a mesh may not multiply it without end
 
 
 def glb_bytes(gaussians: Gaussians, colour: Colour) -> bytes:

@@ -21,11 +21,8 @@ from sarsplat.radiometry import DYNAMIC_RANGE_DB, amplitude, to_db, white_level
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_LARGEST_POWER = 1e18
-"""Maximum β⁰ of a pixel: 180 dB is beyond any calibration, and its square fits into float32."""
-
-_INCHES = 5.0
-"""Longer side of an image in its picture."""
+_LARGEST_POWER = 1e18  # maximum β⁰ of a pixel: 180 dB is beyond any calibration, and its square fits into float32
+_INCHES = 5.0  # longer side of an image in its picture
 _DPI = 120
 
 

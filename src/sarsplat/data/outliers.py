@@ -17,20 +17,16 @@ from scipy.spatial.transform import Rotation
 SIGMAS = 2.5
 """Extent of a Gaussian, in standard deviations."""
 
-_FEWEST = 10
-"""Minimum number of Gaussians in which outliers are looked for."""
-_HANDFUL = 8
-"""Minimum number of Gaussians of a large body."""
+_FEWEST = 10  # minimum number of Gaussians in which outliers are looked for
+_HANDFUL = 8  # minimum number of Gaussians of a large body
 _MAX_SHARE, _MAX_SHARE_OF_BODIES = 0.25, 0.1
 """Maximum share of outliers by distance, and of outliers in large bodies or by size."""
 _COARSER, _INVISIBLE = 3.0, 50.0
 """Factor by which an outlier enlarges the images: a few Gaussians, and a large body."""
 _GAPS, _EXTENTS = 10.0, 2.0
 """Longest link, in medians of the distance of neighbours and of the extents."""
-_SAMPLE = 5_000
-"""Gaussians from which the median distance of neighbours is estimated."""
-_MAX_LINKS = 8
-"""Maximum number of links along an axis of a Gaussian; longer ones are outliers by size."""
+_SAMPLE = 5_000  # Gaussians from which the median distance of neighbours is estimated
+_MAX_LINKS = 8  # maximum number of links along an axis of a Gaussian; longer ones are outliers by size
 
 
 def outliers(

@@ -45,23 +45,19 @@ from sarsplat.gaussians import (
 from sarsplat.gaussians.law_harmonics import CONSTANTS
 from sarsplat.names import Colour
 
-_OTHER_AXIS = re.compile(r"vertical axis:\s*([+-]?[xy]|-z)\s*", re.IGNORECASE)
-"""Comment of Gaussians whose z is not up."""
+_OTHER_AXIS = re.compile(r"vertical axis:\s*([+-]?[xy]|-z)\s*", re.IGNORECASE)  # comment of Gaussians whose z is not up
 _VERSION = "sarsplat gaussians 2"
 _LAW = "scattering "
 _FOR_VIEWERS = ("n", "f_", "opacity", "scale_0", "scale_1", "scale_2")
 """Prefixes of properties of sarsplat's files that only viewers read."""
 _FAR = 20.0
 """Distance from the origin, in sizes, beyond which Gaussians are moved: an image of both would show them as a dot."""
-_OUTLIERS = 0.002
-"""Share of the centres on either side that is left out of the size."""
+_OUTLIERS = 0.002  # share of the centres on either side that is left out of the size
 _UNUSED = ("nx", "ny", "nz")
 _SMALLEST_LOG, _LARGEST_LOG = math.log(MIN_SCALE), 80.0
 """Range of logarithms of scales in m; e^80 is near the largest float32."""
-_MIN_LOGIT = -30.0
-"""Logit written for an opacity of zero."""
-_MAX_LOGIT = 40.0
-"""Logit of an opacity of 1 in a `.splat` file."""
+_MIN_LOGIT = -30.0  # logit written for an opacity of zero
+_MAX_LOGIT = 40.0  # logit of an opacity of 1 in a `.splat` file
 SPLAT = np.dtype([("position", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)])
 """One Gaussian of a `.splat` file (web viewer antimatter15/splat): m, standard deviations (m), colour and opacity, and
 128 + 128·q of wxyz."""

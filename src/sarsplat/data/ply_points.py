@@ -18,12 +18,9 @@ _TYPES = {"char": "i1", "uchar": "u1", "short": "<i2", "ushort": "<u2", "int": "
 _TYPES |= {"float": "<f4", "double": "<f8"}
 _TYPES |= {np.dtype(code).name: code for code in _TYPES.values()}  # "int8", "uint8" …
 _FORMAT = "format binary_little_endian 1.0"
-_LONGEST_HEADER = 65_536
-"""Maximum length of a header, bytes."""
-_CHUNK = 1 << 18
-"""Vertices that are read or written at once."""
-_FARTHEST = 1e9
-"""Maximum distance of a point from the origin, m: its square stays finite."""
+_LONGEST_HEADER = 65_536  # maximum length of a header, bytes
+_CHUNK = 1 << 18  # vertices that are read or written at once
+_FARTHEST = 1e9  # maximum distance of a point from the origin, m: its square stays finite
 
 
 def write_ply(path: Path, columns: Mapping[str, Real[np.ndarray, " n"]], comments: Sequence[str]) -> None:

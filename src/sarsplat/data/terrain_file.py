@@ -25,8 +25,7 @@ _OWN_KEYS = (1, 1, 0, 4, 1024, 0, 1, 1, 1025, 0, 1, 2, 3072, 0, 1, 32767, 3076, 
 """GeoKeys of `write_terrain`: metres, of no known system."""
 _HIGHEST_M, _USUAL_HOLE = 12_000.0, -9999.0
 """Bound of the heights of the earth's surface, and the usual sentinel of holes."""
-_EQUATOR_M = 6378137.0
-"""Semi-major axis of the ellipsoids of WGS 84 and GRS 1980."""
+_EQUATOR_M = 6378137.0  # semi-major axis of the ellipsoids of WGS 84 and GRS 1980
 _METRES = ("", "m", "metre", "meter", "metres", "meters")
 
 

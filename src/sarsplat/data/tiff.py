@@ -17,8 +17,7 @@ from sarsplat.data.files import open_file, write_bytes
 from sarsplat.data.image import check_power, power_of
 from sarsplat.errors import SarsplatError, counted, shown
 
-_LONGEST_HEADER = 1 << 20
-"""Maximum size of tags and descriptions of a TIFF, bytes."""
+_LONGEST_HEADER = 1 << 20  # maximum size of tags and descriptions of a TIFF, bytes
 
 logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # sarsplat's errors describe damaged files
 

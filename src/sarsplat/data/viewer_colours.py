@@ -23,19 +23,13 @@ from sarsplat.radiometry import to_db
 ODD = (1, 2, 3, 9, 10, 11, 12, 13, 14, 15)
 """Harmonics of degree 1 and 3, which change sign with the direction."""
 
-_DIRECTIONS = 200
-"""Number of directions above the horizon to which harmonics are fitted."""
-_SPAN = (0.1, 0.995)
-"""Quantiles of γ⁰ or height shown black and white, so that a glint does not darken everything else."""
-_DARKEST = 0.08
-"""Minimum shade, visible before a black background."""
-_BELOW = 0.03
-"""Weight of the mirror image below the horizon."""
+_DIRECTIONS = 200  # number of directions above the horizon to which harmonics are fitted
+_SPAN = (0.1, 0.995)  # quantiles of γ⁰ or height shown black and white, so that a glint does not darken everything else
+_DARKEST = 0.08  # minimum shade, visible before a black background
+_BELOW = 0.03  # weight of the mirror image below the horizon
 _DEGREE = 3
-_SAMPLE = 20_000
-"""Number of Gaussians from which the range of γ⁰ is estimated."""
-_BATCH = 4096
-"""Gaussians at once."""
+_SAMPLE = 20_000  # number of Gaussians from which the range of γ⁰ is estimated
+_BATCH = 4096  # Gaussians at once
 
 
 @dataclass(frozen=True)

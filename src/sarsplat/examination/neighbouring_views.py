@@ -25,8 +25,7 @@ _OTHER_GRAZING_DEG = (5.0, 40.0)
 """Differences of grazing angles at which layover is about the same, and at which lengths in range differ."""
 
 _MAX_PAIRS = 60
-_SAMPLES = 96
-"""Samples along each side of the ground."""
+_SAMPLES = 96  # samples along each side of the ground
 
 _MAX_SHIFT = 0.5
 """Maximum shift between matching images, relative to half the side of the ground: centring errors and layover."""

@@ -60,8 +60,7 @@ _BLOCKS_PER_SIDE = 4
 """Minimum number of blocks along each side of an image, should the stated resolution be far too coarse."""
 
 _MIN_BLOCKS = 20
-_MIN_CORRELATION = 0.1
-"""Correlation below which neighbouring pixels of speckle count as independent."""
+_MIN_CORRELATION = 0.1  # correlation below which neighbouring pixels of speckle count as independent
 
 _MAX_CORRELATION = 0.75
 """Maximum mean correlation of a block's pixels: above, a block holds hardly more than one resolution cell."""

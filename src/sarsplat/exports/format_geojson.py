@@ -14,11 +14,9 @@ from sarsplat.exports.format import Format, Points
 from sarsplat.geometry.place import DATUM
 from sarsplat.names import Colour
 
-_DIGITS = 8
-"""Decimals of degrees: a millimetre."""
+_DIGITS = 8  # decimals of degrees: a millimetre
 _BEGINS = b'{\n  "type": "FeatureCollection"'
-_MIN_M2 = 1e-6
-"""Minimum area of the outline, m²."""
+_MIN_M2 = 1e-6  # minimum area of the outline, m²
 
 
 def _write(points: Points, path: Path, _: Colour) -> None:

@@ -24,14 +24,10 @@ from sarsplat.geometry import Place
 Coordinates = Literal["scene", "map", "degrees"]
 """Coordinate system of a file."""
 
-_STEP_M = 100.0
-"""Step of the finite differences of the projection, short against the earth's radius, m."""
-_STRETCHED = 0.01
-"""Maximum scale error of a map without a note."""
-_INEXACT_M = 0.5
-"""Maximum error of the datum's transformation without a note, m."""
-_CUT_M = 1e7
-"""Minimum extent of a scene that is cut by the edge of a map of the earth, m."""
+_STEP_M = 100.0  # step of the finite differences of the projection, short against the earth's radius, m
+_STRETCHED = 0.01  # maximum scale error of a map without a note
+_INEXACT_M = 0.5  # maximum error of the datum's transformation without a note, m
+_CUT_M = 1e7  # minimum extent of a scene that is cut by the edge of a map of the earth, m
 _MAX_ROUND_TRIP_M = 0.1
 """Maximum error of projection and inverse, m: ellipsoids that are not concentric leave millimetres."""
 _HEIGHT_WKT = (

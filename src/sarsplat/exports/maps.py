@@ -27,14 +27,11 @@ from sarsplat.surface.neighbours import spacing_m
 
 _PIXEL, _POINT = 60, 200
 """Peak memory per pixel of heights or γ⁰, and per point, bytes."""
-_ON_GROUND = 200
-"""Peak memory per pixel of possible ground, bytes."""
+_ON_GROUND = 200  # peak memory per pixel of possible ground, bytes
 _CLASSED, _CLASSING = 80, 600e6
 """Peak memory per pixel of layover and shadow, and at any size, bytes."""
-_CHUNK = 1 << 20
-"""Pixels per chunk."""
-_LARGER = 1.2
-"""Factor on the suggested pixel above the smallest that fits."""
+_CHUNK = 1 << 20  # pixels per chunk
+_LARGER = 1.2  # factor on the suggested pixel above the smallest that fits
 
 _APART = 5.0
 """Maximum distance of points across a hole that is filled, in median distances: one random point in ten million is

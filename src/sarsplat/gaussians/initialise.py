@@ -17,11 +17,8 @@ from sarsplat.radiometry import brighter, usual_peak
 BRIGHT_DB = -30.0
 """Minimum level of the target's pixels, relative to the brightest of the set (`usual_peak`), dB."""
 
-_ONE_SIDE = 1e-3
-"""Length of the mean direction to the radars below which they are on all sides."""
-
-_BATCH = 1 << 18
-"""Points that are compared with all planes at once."""
+_ONE_SIDE = 1e-3  # length of the mean direction to the radars below which they are on all sides
+_BATCH = 1 << 18  # points that are compared with all planes at once
 
 
 @dataclass(frozen=True)

@@ -18,11 +18,8 @@ _IN_LOBE = 0.2
 """Initial share of γ⁰ in the lobe. Larger ones rotate Gaussians before their law is known, which is worse for isotropic
 or varied surfaces; smaller ones are worse for surfaces that follow a cosine."""
 
-_GRAZING = 1e-12
-"""Minimum squared cosine, for a finite logarithm."""
-
-_MOST_LOG = 5.0
-"""Maximum absolute logarithm of an exponent."""
+_GRAZING = 1e-12  # minimum squared cosine, for a finite logarithm
+_MOST_LOG = 5.0  # maximum absolute logarithm of an exponent
 
 
 @dataclass(frozen=True)

@@ -77,16 +77,10 @@ _MEASURED = {
     **{f"{axis}{name}": (_LENGTH, 1.0) for axis in ("", "azimuth-", "range-") for name in ("spacing", "resolution")},
 }
 """Meanings with a unit → quantity, and m or degrees of the unit that numbers have here."""
-_FLIGHT = {"heading", "track", "course"}
-"""Words in columns' names for directions of flight."""
-_COMPASS = {"compass", "north"}
-"""Words in columns' names for directions counted from north."""
-
-_ONLY_IF_NAMED = ("scale", "offset")
-"""Meanings without usual names: too many things are called that."""
-
-_INSTEAD = {"azimuth": "heading", "heading": "azimuth"}
-"""Meanings that exclude each other if one is chosen."""
+_FLIGHT = {"heading", "track", "course"}  # words in columns' names for directions of flight
+_COMPASS = {"compass", "north"}  # words in columns' names for directions counted from north
+_ONLY_IF_NAMED = ("scale", "offset")  # meanings without usual names: too many things are called that
+_INSTEAD = {"azimuth": "heading", "heading": "azimuth"}  # meanings that exclude each other if one is chosen
 
 _FACTOR_WORDS = {"scale", "gain", "factor", "calfactor", "calibration", "cal"}
 """Words in columns' names for factors of pictures."""

@@ -14,19 +14,14 @@ from sarsplat.examination.scaling import MIN_CLIPPED_REPORTED, share_at_top
 from sarsplat.geometry import ImageGrid
 from sarsplat.importers.measured_image import MeasuredImage
 
-_CHANCE = 1e-4
-"""Probability at which dark pixels form a square of zeros by chance."""
-_THICK = 5
-"""Minimum side, pixels, of a square of zeros that counts as no data: single zeros are dark pixels."""
+_CHANCE = 1e-4  # probability at which dark pixels form a square of zeros by chance
+_THICK = 5  # minimum side, pixels, of a square of zeros that counts as no data: single zeros are dark pixels
 
 _LEAST_SHARE, _MOST_SHARE = 0.003, 0.6
 """Shares of an image: fewer zeros in its corners are ignored, more are rejected."""
 
-_LOSS = 0.5
-"""Maximum share of the common part that a few images cut off: one of another size is probably a wrong file."""
-
-_MOST_UNLIKE = 10.0
-"""Maximum ratio of the largest to the smallest pixel spacing."""
+_LOSS = 0.5  # maximum share of the common part that a few images cut off: one of another size is probably a wrong file
+_MOST_UNLIKE = 10.0  # maximum ratio of the largest to the smallest pixel spacing
 
 _FEW, _FEWEST_IMAGES = 1 / 8, 3
 """Maximum share of images that are suspected, and minimum number of images for that."""

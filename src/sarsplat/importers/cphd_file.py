@@ -23,11 +23,9 @@ if TYPE_CHECKING:
     import lxml.etree
 
 MAGIC = b"CPHD/"
-_SAMPLE_BYTES = {"CI2": 2, "CI4": 4, "CF8": 8}
-"""Formats of samples in the standard → bytes of one."""
+_SAMPLE_BYTES = {"CI2": 2, "CI4": 4, "CF8": 8}  # formats of samples in the standard → bytes of one
 _MOST_BYTES_OF_A_PULSE = 1 << 16
-_LARGEST = 1e12
-"""Maximum of all numbers."""
+_LARGEST = 1e12  # maximum of all numbers
 _VECTORS = {
     "TxTime": 0, "TxPos": 3, "RcvTime": 0, "RcvPos": 3, "SRPPos": 3, "FX1": 0, "FX2": 0, "TOA1": 0, "TOA2": 0, "SC0": 0,
     "SCSS": 0,

@@ -26,10 +26,8 @@ from sarsplat.extras import needed
 if TYPE_CHECKING:
     import h5py
 
-_LARGEST_CHUNK = 64 << 20
-"""Maximum size of a chunk of HDF5, bytes, which is unpacked at a time."""
-_MOST_FILES = 100_000
-"""Maximum number of files in a folder; with more, it is probably a home folder."""
+_LARGEST_CHUNK = 64 << 20  # maximum size of a chunk of HDF5, bytes, which is unpacked at a time
+_MOST_FILES = 100_000  # maximum number of files in a folder; with more, it is probably a home folder
 
 
 def raise_damaged(path: str | Path, problem: str) -> NoReturn:

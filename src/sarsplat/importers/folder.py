@@ -30,8 +30,7 @@ from sarsplat.importers.measured_image import MeasuredImage
 from sarsplat.importers.table import PictureTable, read_picture_table
 from sarsplat.names import Backscatter, Projection, Quantity
 
-_EAST_DEG = -90.0
-"""Azimuth offset of compass bearings with which x points east and y north, as in rasters of heights."""
+_EAST_DEG = -90.0  # azimuth offset of compass bearings with which x points east and y north, as in rasters of heights
 
 
 @checks_arguments

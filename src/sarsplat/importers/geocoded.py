@@ -21,16 +21,12 @@ from sarsplat.errors import SarsplatError, SarsplatWarning, counted
 from sarsplat.geometry import ImageGrid, Place, Terrain
 from sarsplat.importers.measured_image import MeasuredImage
 
-_FEWEST = 8
-"""Minimum number of pixels on a side of the result."""
-
-_BENT = 0.1
-"""Maximum curvature of a map between the middle and the corners of the pictures, share of a pixel."""
+_FEWEST = 8  # minimum number of pixels on a side of the result
+_BENT = 0.1  # maximum curvature of a map between the middle and the corners of the pictures, share of a pixel
 
 _SPLINE = 3
 
-_WGS_84 = 4326
-"""EPSG number of longitude and latitude."""
+_WGS_84 = 4326  # EPSG number of longitude and latitude
 
 Lattice = Float64[np.ndarray, "rows columns"]
 

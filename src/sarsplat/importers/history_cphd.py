@@ -26,12 +26,9 @@ from sarsplat.importers.phase_apertures import WIDEST_DEG, whole_flight
 from sarsplat.importers.phase_history import SPEED_OF_LIGHT, PhaseHistory, Recorded
 from sarsplat.importers.sarkit_xml import sarkit_errors
 
-_MONOSTATIC_DEG = 0.5
-"""Maximum angle between sending and receiving position of a monostatic antenna, degrees."""
-_SAME_BAND = 0.9
-"""Minimum share of its band that a pulse has in common with all others."""
-_EXACT = 1e-6
-"""Rounding tolerance of a calculated index, in steps."""
+_MONOSTATIC_DEG = 0.5  # maximum angle between sending and receiving position of a monostatic antenna, degrees
+_SAME_BAND = 0.9  # minimum share of its band that a pulse has in common with all others
+_EXACT = 1e-6  # rounding tolerance of a calculated index, in steps
 
 
 def read_cphd(path: str | Path, channel: str | None = None) -> PhaseHistory:

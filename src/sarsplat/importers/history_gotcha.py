@@ -20,8 +20,7 @@ from sarsplat.importers.histories import PhaseHistoryFormat
 from sarsplat.importers.mat import read_mat
 from sarsplat.importers.phase_history import SPEED_OF_LIGHT, PhaseHistory
 
-_UNEVEN = 0.01
-"""Maximum deviation of frequencies from even spacing, in steps; single precision costs 0.03 %."""
+_UNEVEN = 0.01  # maximum deviation of frequencies from even spacing, in steps; single precision costs 0.03 %
 
 
 def read_gotcha(path: str | Path) -> PhaseHistory:

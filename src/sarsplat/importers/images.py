@@ -35,24 +35,17 @@ from sarsplat.radiometry import to_db
 if TYPE_CHECKING:
     from sarsplat.examination.outcome import Examination
 
-_SAME = 1e-3
-"""Relative difference of lengths that are meant to be the same."""
-
-_SAME_PLACE = 1e-2
-"""Maximum offset of images that are not resampled, share of a pixel."""
+_SAME = 1e-3  # relative difference of lengths that are meant to be the same
+_SAME_PLACE = 1e-2  # maximum offset of images that are not resampled, share of a pixel
 
 _LEAST_POWER = 1e-3
 """Power to which zeros are raised, relative to the median: zero has no logarithm, and no radar measures it."""
 
-_FAINTEST = 1e-30
-"""Minimum mean power, and reciprocal of the maximum; beyond them float32 loses digits."""
-
-_MARGIN = 3 / 16
-"""Margin left out of scores of images with ground, share of a side."""
+_FAINTEST = 1e-30  # minimum mean power, and reciprocal of the maximum; beyond them float32 loses digits
+_MARGIN = 3 / 16  # margin left out of scores of images with ground, share of a side
 
 _LARGEST_SIZE_M = 1e6
-_PIXELS = (8, 4096)
-"""Minimum and maximum number of pixels on a side of an image that is cut out or focused."""
+_PIXELS = (8, 4096)  # minimum and maximum number of pixels on a side of an image that is cut out or focused
 
 EXAMINATIONS: WeakKeyDictionary[Dataset, Examination] = WeakKeyDictionary()
 """Examinations of imported datasets, of which the command line shows more than warnings."""

@@ -26,12 +26,9 @@ from sarsplat.importers.table import ListedPicture, PictureTable
 from sarsplat.names import Backscatter, Quantity, Side
 from sarsplat.radiometry import beta0_of_gamma0, beta0_of_sigma0
 
-_AGREE_DEG = 5.0
-"""Maximum difference between an azimuth and that of its heading: norths of maps, small squints."""
-_MIN_GRAZING_DEG = 1.0
-"""Minimum grazing angle in the calculation of a squint."""
-_SAME = 0.01
-"""Relative difference of lengths that are rounded."""
+_AGREE_DEG = 5.0  # maximum difference between an azimuth and that of its heading: norths of maps, small squints
+_MIN_GRAZING_DEG = 1.0  # minimum grazing angle in the calculation of a squint
+_SAME = 0.01  # relative difference of lengths that are rounded
 
 StatedPair = tuple[float | None, float | None]
 

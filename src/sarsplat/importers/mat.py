@@ -31,8 +31,7 @@ _COMPLEX = 0x800
 _DEEPEST = 16
 _EXPANSION, _FREE_BYTES = 16, 16 << 20
 """Maximum unpacked size: factor on the size of the file, and bytes besides; measured data compress far less."""
-_BYTES_PER_ARRAY = 512
-"""Memory of an array besides its values, bytes."""
+_BYTES_PER_ARRAY = 512  # memory of an array besides its values, bytes
 
 
 def read_mat(path: str | Path) -> dict[str, Any]:

@@ -27,14 +27,10 @@ from sarsplat.names import Side
 _DESIRED, _MEASURED, _AZIMUTH = "desired_depression_deg", "measured_depression_deg", "target_az_deg"
 LABEL_COLUMNS = ("path", "class", "serial", _DESIRED, _MEASURED, _AZIMUTH)
 """Columns that a table of labels must have."""
-_AZIMUTH_STD = "azimuth_std_deg"
-"""Optional column, cells may be empty."""
-_DN_PER_MAGNITUDE = "dn_per_magnitude"
-"""Optional column, filled for all chips or none."""
-_DN_PER_POWER = "dn_per_power"
-"""Column of generated chips that hold power, not magnitude."""
-_NEAR_SIDE = "near_side"
-"""Optional column; the bottom if empty."""
+_AZIMUTH_STD = "azimuth_std_deg"  # optional column, cells may be empty
+_DN_PER_MAGNITUDE = "dn_per_magnitude"  # optional column, filled for all chips or none
+_DN_PER_POWER = "dn_per_power"  # column of generated chips that hold power, not magnitude
+_NEAR_SIDE = "near_side"  # optional column; the bottom if empty
 _LENGTHS = {
     "spacing_m": ("azimuth_spacing_m", "range_spacing_m"),
     "resolution_m": ("azimuth_resolution_m", "range_resolution_m"),

@@ -15,10 +15,8 @@ from sarsplat.geometry import View
 from sarsplat.geometry.responses import Taylor
 from sarsplat.importers.phase_history import SPEED_OF_LIGHT, PhaseHistory
 
-_MOST = 0.9
-"""Share of an aperture whose steps determine the unambiguous extent."""
-_GAP = 1.5
-"""Minimum step between pulses that is a gap, in median steps."""
+_MOST = 0.9  # share of an aperture whose steps determine the unambiguous extent
+_GAP = 1.5  # minimum step between pulses that is a gap, in median steps
 WIDEST_DEG = 60.0
 """Maximum width of an aperture: beyond it the radar has no single direction."""
 

@@ -21,18 +21,15 @@ from scipy import sparse
 
 from sarsplat.importers.phase_history import SPEED_OF_LIGHT, PhaseHistory
 
-_ERROR = 1e-5
-"""Maximum relative error of an interpolated phase: 100 dB below its echo."""
+_ERROR = 1e-5  # maximum relative error of an interpolated phase: 100 dB below its echo
 _TAPS = 14
 _OVERSAMPLING = 2.0
 """Ratio of kept pulses to those that the band of phases needs. With `_TAPS`, the error is 6e-6 where pulses are even;
 `_few` keeps more elsewhere."""
-_WORTH = 0.5
-"""Maximum share of kept pulses that is worth combining."""
+_WORTH = 0.5  # maximum share of kept pulses that is worth combining
 _CHORDS = 64
 """Number of parts of the flight over which rates of phase are measured; over single pulses, jitter would be."""
-_REGULAR = 1e-13
-"""Regularisation of the nearly singular correlation of adjacent pulses."""
+_REGULAR = 1e-13  # regularisation of the nearly singular correlation of adjacent pulses
 _BLOCK = 128
 _PULSES_AT_ONCE = 4096
 

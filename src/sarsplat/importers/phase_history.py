@@ -19,13 +19,10 @@ SPEED_OF_LIGHT = 299_792_458.0
 FARTHEST_M = 1e8
 _LARGEST = 1e9  # no amplitude comes near it, and its square still fits into float32
 _FREQUENCIES_HZ = (1e6, 1e12)
-_LONGEST_GAP = 3
-"""Maximum gap between two pieces of one flight, in steps from pulse to pulse."""
+_LONGEST_GAP = 3  # maximum gap between two pieces of one flight, in steps from pulse to pulse
 _OTHER_BAND = 0.1  # of the bandwidth: what may differ between passes of one radar
-_SAME_FREQUENCY = 0.01
-"""Tolerance of equal frequencies, in steps."""
-_AT_A_TIME = 1 << 19
-"""Maximum number of samples in memory, of a file that is read in pieces."""
+_SAME_FREQUENCY = 0.01  # tolerance of equal frequencies, in steps
+_AT_A_TIME = 1 << 19  # maximum number of samples in memory, of a file that is read in pieces
 
 
 _OF_PULSES = ("first_hz", "step_hz", "antenna_m", "reference_m", "moved_m", "shown_m")

@@ -42,13 +42,9 @@ from sarsplat.importers.phase_history import FARTHEST_M, SPEED_OF_LIGHT, PhaseHi
 from sarsplat.progress import progress
 
 _WEIGHTINGS = {"uniform": UNIFORM, "taylor": TAYLOR}
-_SPACING = 2 / 3
-"""Default pixel spacing, as a share of the narrower 3 dB width: power has twice the band of the signal."""
-_TILT_DEG = 3.0
-"""Minimum tilt of slant planes that is reported: at a height of 2 m it displaces by a decimetre."""
-
-_MISSING = 0.01
-"""Minimum share of an aperture without pulses that is reported."""
+_SPACING = 2 / 3  # default pixel spacing, as a share of the narrower 3 dB width: power has twice the band of the signal
+_TILT_DEG = 3.0  # minimum tilt of slant planes that is reported: at a height of 2 m it displaces by a decimetre
+_MISSING = 0.01  # minimum share of an aperture without pulses that is reported
 _ACCURACY = 1e-7
 
 

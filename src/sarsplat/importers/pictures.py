@@ -31,10 +31,8 @@ PICTURE_ENDINGS = (*OTHERS, *TIFF)
 
 Bands = Literal["real and imaginary part", "amplitude and phase in radians", "amplitude and phase in degrees"]
 _HALF_TURNS: dict[Bands, float] = {"amplitude and phase in radians": math.pi, "amplitude and phase in degrees": 180.0}
-_ROUNDING = 1e-5
-"""Share of a half turn by which phases may exceed it."""
-_SPREAD = 0.9
-"""Share of a half turn that the phases of an image reach on both sides of zero."""
+_ROUNDING = 1e-5  # share of a half turn by which phases may exceed it
+_SPREAD = 0.9  # share of a half turn that the phases of an image reach on both sides of zero
 _BOTH_NEGATIVE = 0.75
 """Maximum share of pixels with negative real and imaginary part; a turning phase has both in a quarter of them."""
 

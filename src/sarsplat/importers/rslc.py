@@ -32,10 +32,8 @@ from sarsplat.importers.rslc_file import Rslc, read_rslc
 from sarsplat.names import CrossPolarised
 from sarsplat.radiometry import to_db
 
-_HIGHER_M = 10.0
-"""Height step of the derivative of a place by its height, m."""
-_UNWEIGHTED = 0.886
-"""Width of a response at half power, for a band of 1 without weights."""
+_HIGHER_M = 10.0  # height step of the derivative of a place by its height, m
+_UNWEIGHTED = 0.886  # width of a response at half power, for a band of 1 without weights
 
 
 @checks_arguments

@@ -33,8 +33,7 @@ from sarsplat.names import SampleKind, Side
 _NAME = re.compile(
     r"(?P<target>[A-Za-z0-9]+)_(?P<kind>real|synth)_.*elevDeg_(?P<elevation>\d{3})_azCenter_(?P<azimuth>\d{3})_.*\.mat"
 )
-_MOST_OFF_DEG = 1.0
-"""Maximum difference of an angle from that of the name, which has whole degrees."""
+_MOST_OFF_DEG = 1.0  # maximum difference of an angle from that of the name, which has whole degrees
 
 
 @dataclass(frozen=True)

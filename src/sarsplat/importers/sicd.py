@@ -43,8 +43,7 @@ from sarsplat.importers.sicd_chip import (
 from sarsplat.importers.sicd_file import Sicd, read_sicd
 from sarsplat.importers.sicd_geometry import Layout, layout_around, said_of_place, spot_of_pixel
 
-_LEANS = 0.05
-"""Minimum displacement that is reported, m for each metre of height."""
+_LEANS = 0.05  # minimum displacement that is reported, m for each metre of height
 
 
 @checks_arguments

@@ -31,21 +31,13 @@ from sarsplat.importers.sicd_file import Axis, Sicd
 from sarsplat.importers.sicd_geometry import Layout, antenna_at, middle_of, on_ground
 from sarsplat.radiometry import to_db
 
-_ASKEW = 0.05
-"""Maximum slope between axes of image and view at which side lobes run along the latter."""
-
-_APART = 0.1
-"""Maximum distance between the corners of equal grids, pixels."""
-
-_SAME_FREQUENCY = 1e-4
-"""Relative tolerance of equal centre frequencies."""
-
-_SAME_DB = 0.3
-"""Maximum difference of calibrations by the angles of the scene centre point and those of the spot, dB."""
+_ASKEW = 0.05  # maximum slope between axes of image and view at which side lobes run along the latter
+_APART = 0.1  # maximum distance between the corners of equal grids, pixels
+_SAME_FREQUENCY = 1e-4  # relative tolerance of equal centre frequencies
+_SAME_DB = 0.3  # maximum difference of calibrations by the angles of the scene centre point and those of the spot, dB
 
 _UNSTACKED = "leave out `stack`"
-_DIGITS = 8
-"""Significant decimals of offsets, rad: the rest is rounding, millimetres of the antenna's position."""
+_DIGITS = 8  # significant decimals of offsets, rad: the rest is rounding, millimetres of the antenna's position
 
 
 def spacing_of(sicd: Sicd, layout: Layout) -> tuple[float, float]:

@@ -29,14 +29,11 @@ from sarsplat.importers.pictures import PICTURE_ENDINGS
 from sarsplat.importers.rasters import first_georeference
 from sarsplat.names import Quantity, Side
 
-_COLUMN = re.compile(r"\{([^{}]+)\}")
-"""A column in a pattern of names."""
-_SCALES = 1e-15, 1e15
-"""Least and largest scale of pixels; the square of no magnitude leaves float32."""
+_COLUMN = re.compile(r"\{([^{}]+)\}")  # a column in a pattern of names
+_SCALES = 1e-15, 1e15  # least and largest scale of pixels; the square of no magnitude leaves float32
 _PRODUCTS = {"manifest.safe": "SAFE (Sentinel-1)", "led-al": "CEOS (ALOS)"}
 """Beginnings of files' names, in small letters → layouts of satellites' products."""
-_ROUNDED_DEG = 1.0 + 1e-6
-"""Maximum difference from 90° of the sum of grazing and incidence angles in whole degrees."""
+_ROUNDED_DEG = 1.0 + 1e-6  # maximum difference from 90° of the sum of grazing and incidence angles in whole degrees
 
 
 @dataclass(frozen=True)

@@ -75,7 +75,7 @@ def chosen(dataset: Dataset) -> Config:
     if not multilevel:
         return replace(PRESETS["measured"], evidence=f"measured: {summary}")
     kept = {name: getattr(scene.surroundings, name) for name in ("noise_floor", "speckle_floor")}
-    rates = replace(scene.rates, nuisance=PRESETS["measured"].rates.nuisance)  # side lobes and gains are slower
+    rates = replace(scene.rates, nuisance=PRESETS["measured"].rates.nuisance)  # gains as there
     scene = replace(scene, surroundings=Surroundings(**kept), scattering_penalty=0.0, rates=rates)
     return replace(scene, evidence=f"scene with nuisances of each image: {summary}")
 

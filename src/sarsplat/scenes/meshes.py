@@ -42,8 +42,7 @@ _HARMLESS = re.compile(r"[A-Z]+_(materials|texture|lights|xmp)\w*|KHR_mesh_quant
 """Names of glTF's extensions that do not change the surface, or that are read here."""
 _FAN, _TRIANGLES = 6, 4
 """Modes of primitives of a .glb file."""
-_INDICES = {5121: "u1", 5123: "<u2", 5125: "<u4"}
-"""Types of indices in a .glb file → types of numpy."""
+_INDICES = {5121: "u1", 5123: "<u2", 5125: "<u4"}  # types of indices in a .glb file → types of numpy
 
 _MISSING = "has faces that refer to missing vertices; repair the mesh"
 _COMMENT = re.compile(rb"#[^\n]*")

@@ -67,7 +67,7 @@ class AnyConfig(Record):
     @classmethod
     def of_run(cls, settings: Mapping[str, Any], source: str) -> Self:
         """Read the settings of a run's file, maybe of an earlier version; errors as `from_dict`."""
-        given = {key: getattr(cls, key) and {} for key in cls.before} | {**settings}
+        given = {key: getattr(cls, key) and {} for key in cls.before} | {**settings}  # absent sections: None stays off
         older = {key: {**old, **given[key]} for key, old in cls.before.items() if isinstance(given[key], Mapping)}
         return cls.from_dict({**settings, **older}, source)
 
